@@ -95,7 +95,7 @@ chaos: setup ## run a small suite under accidents and check its rows (some ten m
 soak: setup ## read seeded mutants of all files that others may send, SHARE=0.01 for 1 % of them (a minute)
 	$(BIN)/python -m tests.soak.run --share $(SHARE) $(SOAK)
 
-lint: setup ## ruff, mypy --strict, import floors
+lint: setup ## ruff, mypy --strict, import layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

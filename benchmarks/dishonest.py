@@ -74,7 +74,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     from dpbench.analysis.verdict.fastest import best_of_each
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import clauses
-    from dpbench.solvers import load_solver_module
+    from dpbench.solvers.table import load_solver_module
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)
     for fault in faults:
@@ -86,7 +86,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     suite = folder / "dishonest.toml"
     solvers = _list([*faults, TWIN, *BESIDE])
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
-    verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).facts.verdicts
+    verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).data.verdicts
     best = {v.configuration.solver: v for v in best_of_each(verdicts)}
     return {name: (v.state, clauses(v.causes or v.missing)) for name, v in best.items()}
 

@@ -33,10 +33,12 @@ import pyarrow.parquet as pq
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.cell_store import CellStore, packed
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.step_table import OF_STEPS
+from dpbench.bench.record.step_table import STEPS_SCHEMA
+from dpbench.bench.workers.executor import BATCH_CELLS
 from dpbench.solvers.table import available
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
@@ -193,8 +195,8 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     Each has the row and the steps of a real one, of its settings at its point, changed as another
     sea changes them: all numbers of a sea by one factor. What runs of one sea have in common, most
     of what DAQP computes at whatever tolerance, stays in common, and nothing is in common with
-    another sea; so the steps pack as those of real loops do. The cells come sea by sea, as
-    a campaign keeps them but for the seas at the ends of its batches.
+    another sea; so the steps pack as those of real loops do. The cells are in batches of one
+    configuration each, as those of a campaign.
     """
 
     def suite_in(folder: Path, seas: int) -> Path:
@@ -208,6 +210,7 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     identity, machine = available("daqp").identity, describe_machine()["id"]
     rng, store = np.random.default_rng(1), CellStore(out / "results")
     factors: dict[tuple[int, int], float] = {}
+    batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}
     for planned in plan(load_suite(suite)[1], beside=out):
         study = planned.cell.study
         row, batch = real[planned.cell.settings, study["point"]]
@@ -215,8 +218,12 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
         factor = factors.setdefault(sea, float(np.exp(0.1 * rng.standard_normal())))
         run_id = planned.cell.run_id(identity, machine, HARNESS_VERSION)
         own = _changed_row(row, factor) | {"run_id": run_id, "cell": planned.cell.to_json()}
-        store.append(run_id, "finished", packed(own, _changed(batch, factor, rng)))
-    store.close()
+        waiting = batches.setdefault(planned.cell.settings, {})
+        waiting[run_id] = own, _changed(batch, factor, rng)
+        if len(waiting) == BATCH_CELLS:
+            store.add(batch_part(batches.pop(planned.cell.settings)))
+    for waiting in batches.values():
+        store.add(batch_part(waiting))
     return suite
 
 
@@ -225,9 +232,8 @@ def _real_cells(folder: Path) -> dict[tuple[str, int], tuple[dict[str, Any], pa.
     cells = {}
     for row in load_results(folder).runs.to_dict("records"):
         own = [("run_id", "==", row["run_id"])]
-        # As they are stored: what is equal to another column stays null.
-        steps = pq.read_table(folder / "steps.parquet", columns=OF_STEPS.names, filters=own)
-        (batch,) = steps.cast(OF_STEPS).combine_chunks().to_batches()
+        steps = pq.read_table(folder / "steps.parquet", columns=STEPS_SCHEMA.names, filters=own)
+        (batch,) = steps.cast(STEPS_SCHEMA).combine_chunks().to_batches()
         key = str(row["settings"]), int(row["study_point"])
         cells[key] = {str(name): value for name, value in row.items()}, batch
     return cells

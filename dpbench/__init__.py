@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from dpbench.notebook.results import Results, load_results
     from dpbench.notebook.runs import Run, replay, run_closed_loop
     from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
-    from dpbench.qp.referee.referee import Optimum, certify
+    from dpbench.qp.referee.optimum import Optimum
+    from dpbench.qp.referee.referee import certify
     from dpbench.qp.residuals import Residuals, residuals
     from dpbench.qp.solution import Solution, Status
     from dpbench.report.compare.comparison import Comparison, compare
@@ -32,7 +33,7 @@ _HOMES = {
     "CondensedQP": "mpc.condensed_qp",
     "DpbenchError": "errors",
     "InputError": "errors",
-    "Optimum": "qp.referee.referee",
+    "Optimum": "qp.referee.optimum",
     "QPSequence": "qp.program",
     "QPStep": "qp.program",
     "QuadraticProgram": "qp.program",

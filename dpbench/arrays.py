@@ -1,4 +1,4 @@
-"""Arrays, as every room names them; their shapes stand where they are used."""
+"""Types of arrays, shared by all packages; their shapes are stated where they are used."""
 
 from __future__ import annotations
 

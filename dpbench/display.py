@@ -9,7 +9,7 @@ from html import escape
 def table_html(
     heads: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", note: str = ""
 ) -> str:
-    """A table with a title above and a note below it; every cell as text."""
+    """Make a table with a title above and a note below it; every cell as text."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     body = "".join(f"<tr>{_cells(row)}</tr>" for row in rows)
     above = f"<caption>{escape(title)}</caption>" if title else ""
@@ -19,7 +19,7 @@ def table_html(
 
 
 def fields_html(title: str, fields: Mapping[str, object]) -> str:
-    """What an object says of itself, a row for each of its fields; empty ones are left out."""
+    """Make a table of an object, a row for each of its fields; empty ones are left out."""
     rows = [(name, value) for name, value in fields.items() if str(value) != ""]
     return table_html((), rows, title=title)
 

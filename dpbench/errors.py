@@ -1,8 +1,9 @@
 """The error tree: everything dpbench raises on purpose, so a caller can catch one base class.
 
-A *person's* mistake is an `InputError`: one line that names the place, what was found and what is
-allowed (the command line prints it and exits with 2). A *solver's* failure is never an exception
-that leaves the run: it is a `Status` in a record.
+A *person's* mistake is an `InputError`, one line that the command line prints and exits with 2. A
+wrong value names the place, what was found and what is allowed; a `SituationError` is one plain
+sentence with a remedy. A *solver's* failure is never an exception that leaves the run: it is a
+`Status` in a record.
 """
 
 from __future__ import annotations
@@ -36,11 +37,29 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
+class SituationError(InputError):
+    """A situation that no single value is to blame for: one plain sentence with a remedy.
+
+    Parameters
+    ----------
+    where : file, option or solver it is about.
+    sentence : what is the matter, and what to do.
+    """
+
+    def __init__(self, where: str, sentence: str) -> None:
+        super().__init__(where, "", sentence, "")
+        self.args = (" ".join(f"{where}: {sentence}".split()),)
+
+    def __reduce__(self) -> tuple[type[SituationError], tuple[str, str]]:  # type: ignore[override] # of fewer parts
+        return type(self), (self.where, str(self.found))
+
+
 class ShapeError(InputError):
     """An array of the wrong shape; names the array, the expected and the found shape."""
 
     @classmethod
     def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
+        """Make the error of an array `name` of shape `found`."""
         return cls(where, name, f"shape {found}", expected)
 
 
@@ -56,18 +75,32 @@ class PolicyError(InputError):
     """A route or policy that a solver cannot run; `allowed` carries the reason."""
 
 
-class SolverUnavailableError(InputError):
-    """A solver whose library is missing or fails to import; `found` carries the reason."""
+class SolverUnavailableError(SituationError):
+    """A solver whose library is missing or fails to import; the sentence carries the reason."""
 
 
 class ResultsError(InputError):
     """A result folder or file that is missing, damaged or of another schema."""
 
 
-def one_of(text: str, known: Sequence[str]) -> str:
-    """What could stand in place of `text`: the nearest of the known names, then all of them."""
-    near = get_close_matches(text, known, n=3)
-    return f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
+MOST_NAMES = 6
+"""A list of more names is cut to the nearest."""
+_NEAREST = 3
+
+
+def one_of(text: str, known: Sequence[str], *, listing: str = "") -> str:
+    """Name what is allowed in place of `text`: all known names, or of many the three nearest.
+
+    Parameters
+    ----------
+    listing : the command that lists all of them; "" where there is none.
+    """
+    if len(known) <= MOST_NAMES:
+        return f"one of {', '.join(known)}"
+    # A text of a megabyte would be compared letter by letter.
+    near = get_close_matches(text[:80], known, n=_NEAREST, cutoff=0.0)
+    rest = f"{', '.join(near)}, … {len(known) - len(near)} more"
+    return f"{rest}: `{listing}`" if listing else rest
 
 
 class RenamedWarning(FutureWarning):

@@ -51,7 +51,7 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
 
 
 def cache_folders() -> list[Path]:
-    """The folders below which Numba keeps compiled kernels."""
+    """Return the folders below which Numba keeps compiled kernels."""
     given = _config.CACHE_DIR
     return [Path(given)] if given else [PACKAGE, _of_user()]
 
@@ -63,8 +63,10 @@ def _of_user() -> Path:
 
 @cache
 def _has_own_cache() -> bool:
-    """Make the cache of this process, with links to all that was compiled before; whether there is
-    a place for it."""
+    """Make the cache of this process, with links to all that was compiled before.
+
+    Returns whether there is a place for it.
+    """
     try:
         own = process_folder() / "kernels"
         own.mkdir()

@@ -52,7 +52,10 @@ class Holder:
 
     @classmethod
     def read(cls, line: str) -> Holder:
-        """The holder that a line names; ValueError, KeyError or TypeError where it names none."""
+        """Parse the holder that a line names.
+
+        ValueError, KeyError or TypeError where it names none.
+        """
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())
         holder = cls(work, float(entry["since"]), int(entry["pid"]))
@@ -78,8 +81,10 @@ class BusyError(InputError):
 
 @contextmanager
 def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
-    """A lock as long as the block lasts; false where another holds it, where it is another user's,
-    or where the disk knows no locks."""
+    """Hold a lock as long as the block lasts.
+
+    Yields false where another holds it, where it is another user's, or where the disk has no locks.
+    """
     with ExitStack() as stack:
         held = False
         with suppress(OSError):
@@ -100,7 +105,9 @@ def lock_file(
     patience: Patience = Patience(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> Iterator[bool]:
-    """The lock of a file as long as the block lasts; false where there is none to be had.
+    """Hold the lock of a file as long as the block lasts.
+
+    Yields false where there is none to be had.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ ATTEMPTS = 10
 
 @contextmanager
 def temporary_folder(place: Path) -> Iterator[Path]:
-    """A folder for this user alone, with all that is in it gone at the end of the block."""
+    """Provide a folder for this user alone; all that is in it is gone at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
@@ -59,7 +59,7 @@ def _remove(folder: Path) -> None:
 
 @cache
 def process_folder() -> Path:
-    """A folder of this process on the disk for temporary files, gone when the process ends.
+    """Return a folder of this process on the disk for temporary files, gone when the process ends.
 
     Raises
     ------
@@ -73,8 +73,11 @@ def process_folder() -> Path:
 
 
 def keep_sockets() -> None:
-    """Have `multiprocessing` keep its sockets in the folder of this process, so that those of a
-    killed one go too; where Python keeps them else if that path is too long for a socket."""
+    """Have `multiprocessing` keep its sockets in the folder of this process.
+
+    Those of a killed one go too. They stay where Python keeps them if that path is too long for a
+    socket.
+    """
     before = tempfile.tempdir
     try:
         folder = process_folder()

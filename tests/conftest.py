@@ -22,7 +22,6 @@ from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
-from dpbench.report.ending import ending
 from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 from tests.result_folder import write_results
@@ -373,7 +372,7 @@ class MadeRecords:
     def ending(self) -> dict[str, str]:
         """What a run that left these records ends with, by what each line is about."""
         report = Report.of(self.results())
-        return dict(ending(report.facts, report.answer, report.topics))
+        return dict(report.summary_rows())
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""

@@ -1,4 +1,4 @@
-"""The way in for a maintainer: every place that the documents name exists."""
+"""Documents for maintainers: every file and function that they name exists."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALK = re.findall(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|", ARCHITECTURE)
-# The blocks of floors, one below the other: the names of a line before its text.
-FLOORS = [
+# The blocks of layers, one below the other: the names of a line before its text.
+LAYERS = [
     [set(re.findall(r"\w+", line.split("  ")[0])) for line in re.findall(r"^\w.*", block, re.M)]
     for block in re.findall(r"^```\n(.*?)^```", ARCHITECTURE, re.M | re.S)
 ]
@@ -31,22 +31,22 @@ def test_every_hop_of_the_walk_is_there(file: str, function: str) -> None:
 
 
 def test_the_walk_goes_from_the_ship_to_the_page() -> None:
-    """It begins in the loop and ends in the report, and no floor is left out."""
-    rooms = [file.split("/")[1] for file, _ in WALK]
-    assert (rooms[0], rooms[-1]) == ("bench", "report")
-    assert set(rooms) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
+    """It begins in the loop and ends in the report, and no layer is left out."""
+    packages = [file.split("/")[1] for file, _ in WALK]
+    assert (packages[0], packages[-1]) == ("bench", "report")
+    assert set(packages) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
 
 
-def test_the_floors_are_those_that_lint_checks() -> None:
-    """Of package, analysis, bench and solvers: the same rooms in the same order."""
+def test_the_layers_are_those_that_lint_checks() -> None:
+    """Of package, analysis, bench and solvers: the same packages in the same order."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     checked = [
         [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
         for contract in contracts["tool"]["importlinter"]["contracts"]
         if contract["type"] == "layers"
     ]
-    assert len(FLOORS) == 4
-    assert checked == FLOORS
+    assert len(LAYERS) == 4
+    assert checked == LAYERS
 
 
 @pytest.mark.parametrize("document", ["CONTRIBUTING.md", "docs/architecture.md", "README.md"])

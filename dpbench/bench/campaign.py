@@ -24,14 +24,15 @@ from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
-from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.choices import remarks_on
 from dpbench.bench.plan.configurations import identity_of
+from dpbench.bench.plan.run_request import Plan, RunRequest, remarks_on
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.descriptions import MachineDescription
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import (
     claimed,
     load_descriptions,
@@ -39,9 +40,9 @@ from dpbench.bench.record.result_folder import (
     write_json,
 )
 from dpbench.bench.record.revision import Revision, revision, revisions
-from dpbench.bench.sequences.at_edge import capability_in
-from dpbench.bench.sequences.source import is_at_edge, is_sound
-from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
+from dpbench.bench.sequences.capability_boundary import capability_in
+from dpbench.bench.sequences.source import is_readable
+from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.jobs import CellJob, Result, by_source, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
@@ -63,7 +64,7 @@ class Campaign:
         plan: Plan,
         designs: Sequence[Design],
         out: Path,
-        machine: dict[str, Any],
+        machine: MachineDescription,
         *,
         fresh: bool = False,
         shard: Shard = WHOLE,
@@ -76,11 +77,12 @@ class Campaign:
         self.work = shard.of_jobs([self._job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
-            self.store.forget(Wanted(self.work).jobs)
+            self.store.forget(RequestedRuns(self.work).jobs)
             SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
-        self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])
-        self.sources = SourceFiles(self.store.folder, self._at_edge)
+        at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
+        self._at_boundary = by_source(at_boundary)
+        self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
     def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
         """Take designs of a machine along."""
@@ -126,18 +128,18 @@ class Campaign:
     def _keep(self, job: CellJob, result: Result) -> None:
         """Keep what became of a cell; where there is no room for it, it is lost."""
         job.outcome = result.outcome
-        if not result.record:
+        if result.part is None:
             return
         try:
-            self.store.append(result.run_id, result.outcome.outcome, result.record)
+            self.store.add(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
     def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make the files that hold capability plots; a cell whose file fails says so itself."""
-        wanted = {job.source_key for job in pending} & set(self._at_edge)
-        cells = {self.sources.path(key): longest(self._at_edge[key]) for key in wanted}
-        unmade = {path: cell.to_json() for path, cell in cells.items() if not is_sound(cell, path)}
+        wanted = {job.source_key for job in pending} & set(self._at_boundary)
+        cells = {self.sources.path(key): longest(self._at_boundary[key]) for key in wanted}
+        unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
         for _ in dispatcher.make_files(make_source, unmade):
             pass
 
@@ -149,7 +151,7 @@ class Campaign:
             return False
         asked = json.loads(json.dumps(self._document()))
         same = all(found.get(key) == value for key, value in asked.items())
-        if self._at_edge and not (self._out / CAPABILITY_FILE).is_file():
+        if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
         return same and is_tabulated(self.work, self.store)
 
@@ -164,8 +166,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
-        return earlier
+        return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
     def write(
         self,
@@ -196,11 +197,11 @@ class Campaign:
 
     def _write_capability(self) -> None:
         """The capability plots, out of the files that the QPs at their edge come from."""
-        tables = [capability_in(self.sources.path(key)) for key in self._at_edge]
+        tables = [capability_in(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
-        elif not self._at_edge:
+        elif not self._at_boundary:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
@@ -305,7 +306,7 @@ def run_campaign(
         runs that are not asked for, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
-    asked = Asked(
+    asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),
         solvers=solvers,

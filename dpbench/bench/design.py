@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict
@@ -31,7 +30,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.worker import pin, settle, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
@@ -127,7 +126,7 @@ class Design:
     """A design to look into: `files` as in `Scenario.files`, in the weather of `calm`."""
 
     controller: str
-    files: dict[str, Any]
+    files: ScenarioDocuments
 
     @property
     def vessel(self) -> str:
@@ -165,7 +164,7 @@ def _different(key: str, names: Sequence[str]) -> None:
             raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
 
 
-def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
+def _trial_files(controller: Scenario, vessel: Path) -> ScenarioDocuments:
     """The documents of a trial: a controller in a vessel, in the weather of `calm`."""
     own = controller.files["scenario"]
     files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
@@ -175,8 +174,9 @@ def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
         "controller": own["controller"],
     }
     # Said here, before anything runs: what the two cannot make together.
-    scenario_of(files | {"scenario": trial}, where=f"suite: design: {controller.name}")
-    return files | {"scenario": trial}
+    design: ScenarioDocuments = {**files, "scenario": trial}
+    scenario_of(design, where=f"suite: design: {controller.name}")
+    return design
 
 
 SIDES = (1.0, -1.0)

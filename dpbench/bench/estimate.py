@@ -17,12 +17,12 @@ import pyarrow.parquet as pq
 
 from dpbench.bench.campaign import default_folder
 from dpbench.bench.engines.open_engine import count_slots
-from dpbench.bench.plan.asked import Asked
 from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.source import is_at_edge, is_timed
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.errors import InputError, ResultsError
 
@@ -123,13 +123,13 @@ def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estim
     slots : closed loops at a time; replays along a loop run one after the other.
     """
     to_run = [p for p in planned if not p.refused]
-    measured = [p for p in to_run if not is_at_edge(p.cell)]
+    measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
     return Estimate(
         cells=len(to_run),
         refused=len(planned) - len(to_run),
         unmeasured=len(to_run) - len(measured),
         steps=sum(recorded_steps(p.cell) for p in to_run),
-        time_s=sum(rates.seconds_of(p.cell) / (1 if is_timed(p.cell) else slots) for p in measured),
+        time_s=sum(rates.seconds_of(p.cell) / (1 if p.cell.is_timed else slots) for p in measured),
         size_bytes=sum(
             (1 + len(p.alias_settings))
             * (rates.run_bytes + rates.step_bytes * recorded_steps(p.cell))
@@ -177,5 +177,5 @@ def estimate_campaign(
     """
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
-    plan = Asked(None if suite is None else str(suite), **asked).plan()
+    plan = RunRequest(None if suite is None else str(suite), **asked).plan()
     return estimated(plan.cells, count_slots(jobs), rates_of(default_folder(plan, out)))

@@ -15,15 +15,16 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from dpbench.bench.campaign import Campaign, designs_of
 from dpbench.bench.engines.shards import ShardRecord
-from dpbench.bench.plan.asked import Plan
+from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.cell_store import DAMAGE, CellStore
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.descriptions import MachineDescription
+from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
@@ -76,8 +77,8 @@ def gather(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
                 f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
-        kept = machine | ({"others": others} if others else {})
-        campaign = Campaign(plan, designs, Path(out), kept)
+            machine = {**machine, "others": others}
+        campaign = Campaign(plan, designs, Path(out), machine)
         for record in records:
             if record.shard.index == 1:
                 campaign.look_into(designs, record.machine["id"])
@@ -139,10 +140,9 @@ def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFr
         for folder in folders:
             stack.enter_context(claimed(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        rows = [other.rows() for other in others]
-        _refuse_versions(pd.concat([store.rows(), *rows]))
-        for other, of_other in zip(others, rows, strict=True):
-            store.adopt(other, of_other)
+        _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
+        for other in others:
+            store.adopt(other)
             for path in filter(_is_beside, other.folder.iterdir()):
                 write_bytes(store.folder / path.name, path.read_bytes())
         return store.rows(), [line for one in (store, *others) for line in one.remarks]
@@ -164,7 +164,7 @@ def _refuse_versions(rows: pd.DataFrame) -> None:
 
 def _machines(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+) -> tuple[MachineDescription, list[MachineDescription]]:
     """The machine of most timed replays, or else of most cells; and the others."""
     known = {shard.machine["id"]: shard.machine for shard in shards}
     timed = finished.loc[finished["concurrency"].notna(), "machine_id"]

@@ -6,21 +6,35 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
-import pyarrow.compute as pc
+import pyarrow as pa
 
-from dpbench.bench.judge.memory_of_answers import with_loop_ratio
+from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.cell_store import CellStore, StepFile, public_part
+from dpbench.bench.record.cell_store import (
+    CellStore,
+    PublicTables,
+    Source,
+    StepFile,
+    rows_of,
+    without_steps,
+)
+from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
-from dpbench.bench.record.step_table import of_runs, renamed_runs
+from dpbench.bench.record.step_table import (
+    FILE_SCHEMA,
+    filter_runs,
+    frame_of_runs,
+    rename_runs,
+    runs_of_frame,
+)
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 
 
-class Wanted:
+class RequestedRuns:
     """The rows that a campaign is asked for, in their order.
 
     A cell whose settings have no effect has rows under each of its names.
@@ -98,7 +112,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
-    rows = public_part(out).rows()
+    rows = frame_of_runs(PublicTables(out).table())
     rows = rows[rows["outcome"] != "refused"]
     values = rows[list(_SELECTED)].astype(object).where(rows[list(_SELECTED)].notna(), None)
     others = [row for row in values.itertuples(index=False, name=None) if row not in asked]
@@ -113,20 +127,20 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
 def _selected(cell: Cell) -> tuple[object, ...]:
     """What `_SELECTED` is of a cell, less its settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
-    study = (cell.study.get(name) for name in ("point", "replicate"))
+    study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
-    return (*named, *asked, cell.study.get("name", ""), *study)
+    return (*named, *asked, *study)
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Whether the public tables are those that `tabulate` would make of what is there."""
-    wanted = list(Wanted(work).jobs)
-    public, *parts = (part.names() for part in store.parts())
-    return wanted == public and not set(wanted) & {name for names in parts for name in names}
+    wanted = list(RequestedRuns(work).jobs)
+    in_parts = {name for part in store.parts for name in part.names()}
+    return wanted == store.public.names() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Make the public tables of a campaign; cells that it is not asked for stay in a part.
+    """Make the public tables of a campaign; cells that it is not asked for stay in parts.
 
     Memory is that of two row groups, and of the rows of the runs.
 
@@ -134,48 +148,49 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     -------
     The rows of `runs.parquet`, and how many `steps.parquet` has.
     """
-    store.close()
-    wanted, finished, old = Wanted(work), store.rows(), store.parts()[1:]
-    public, aside = store.public, store.new_part()
-    steps = StepFile(public.steps.with_suffix(".parquet.part"))
-    others = StepFile(aside.steps.with_suffix(".part"))
+    wanted, old = RequestedRuns(work), list(store.parts)
+    stored, sources = store.collect()
+    finished = frame_of_runs(stored)
+    steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
-        read = _sort(store, wanted.jobs, wanted.aliases(finished), steps, others)
+        aliases = wanted.aliases(finished)
+        read = _sort(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
-        unasked = finished[~finished.index.isin(wanted.jobs)]
-        if len(unasked):
-            aside.write_runs(unasked, others.path)
         rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
-        public.write_runs(runs, steps.path)
+        store.public.write(runs_of_frame(runs), steps)
     finally:
-        for file in (steps, others):
-            file.close()
-            file.path.unlink(missing_ok=True)
-    for part in old:
-        part.remove()
+        steps.close()
+        steps.path.unlink(missing_ok=True)
+    store.remove(old)
     return runs, steps.rows
 
 
 def _sort(
     store: CellStore,
+    runs: pa.Table,
+    sources: Mapping[str, Source],
     wanted: Container[str],
     aliases: Mapping[str, str],
     steps: StepFile,
-    others: StepFile,
 ) -> set[str]:
-    """Write the steps of all finished runs, the `wanted` ones and their aliases apart from others;
-    the names of those that could be read."""
+    """Write the steps of the `wanted` runs and of their aliases, and keep all others in parts;
+    return the names of those that could be read."""
     read: set[str] = set()
-    for table in store.steps():
-        names = set(pc.unique(table["run_id"]).to_pylist())
-        read |= names
-        steps.add(of_runs(table, {name for name in names if name in wanted}))
-        others.add(of_runs(table, {name for name in names if name not in wanted}))
-        here = {new: made_of for new, made_of in aliases.items() if made_of in names}
-        for new, made_of in here.items():
-            steps.add(renamed_runs(table, {made_of: new}))
-    steps.close()
-    others.close()
+    for group in store.groups(sources):
+        here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
+        others = [name for name in group.names if name not in wanted]
+        if here or others or not steps.copy(group):
+            try:
+                table = group.table()
+            except DAMAGE:
+                continue
+            steps.add(filter_runs(table, set(group.names) - set(others)))
+            store.keep(rows_of(runs, others), table)
+            for new, made_of in here.items():
+                steps.add(rename_runs(table, {made_of: new}))
+        read |= set(group.names)
+    unasked = without_steps(runs, read.union(name for name in sources if name in wanted))
+    store.keep(unasked, FILE_SCHEMA.empty_table())
     return read

@@ -26,7 +26,10 @@ class _Parser(argparse.ArgumentParser):
 def parser(
     calls: Mapping[str, Callable[[argparse.Namespace], int]],
 ) -> argparse.ArgumentParser:
-    """The parser; `calls` has for every command what is called with its arguments, as `call`."""
+    """Make the parser.
+
+    `calls` has for every command what is called with its arguments, as `call`.
+    """
     whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
@@ -55,7 +58,7 @@ def parser(
 
 
 def _option(command: Any, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """An option that takes a value; `keywords` as of `add_argument`."""
+    """Add an option that takes a value; `keywords` as of `add_argument`."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
@@ -85,7 +88,7 @@ def _run(commands: Commands) -> None:
 
 
 def _what_to_run(run: Any) -> None:
-    """The suite, and what of it."""
+    """Add the suite, and what of it is run."""
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     _option(
         run,

@@ -1,5 +1,4 @@
-"""`dpbench capability`: what a ship holds, in a table, as JSON or as a rose; and which solvers can
-tell."""
+"""The command `dpbench capability`: the wind a ship holds, and which solvers are right there."""
 
 from __future__ import annotations
 
@@ -19,13 +18,13 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import INTACT, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.at_edge import write_batch
+from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.cli.terminal import WIDTH, Bar
-from dpbench.errors import InputError, SolverUnavailableError
+from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.table import available, record
+from dpbench.solvers.table import check_available
 
 SIDES = 24
 """Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
@@ -37,7 +36,7 @@ _CELL = 15
 
 
 def tell_capability(arguments: argparse.Namespace) -> str:
-    """What `dpbench capability` prints.
+    """Return the output of `dpbench capability`.
 
     Raises
     ------
@@ -68,15 +67,13 @@ def tell_capability(arguments: argparse.Namespace) -> str:
 
 def _check_installed(solver: str) -> None:
     if solver != "all":
-        row, here = record(solver), available(solver)
-        if not here.ok:
-            raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
+        check_available(solver)
 
 
 def _asked(
     frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """The answers of the solvers asked for, to the QPs at the edge of polygons."""
+    """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
@@ -114,7 +111,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """The table for a terminal: a row for each direction, at most 80 columns."""
+    """Make the table for a terminal: a row for each direction, at most 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}

@@ -18,8 +18,9 @@ _WIDTH = 32
 
 
 def doctor_lines() -> list[str]:
-    """Facts, and the verdicts on machine and harness, from a few seconds of the harness's own
-    configurations.
+    """Return facts and verdicts on machine and harness.
+
+    They come from a few seconds of the harness's own configurations.
 
     They run in this process, on the core that timed replays are pinned to.
     """

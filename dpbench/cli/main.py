@@ -20,9 +20,14 @@ from typing import TYPE_CHECKING, Any, TextIO
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
-from dpbench.cli.ending import say_ending
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
+from dpbench.errors import (
+    DpbenchError,
+    InputError,
+    RenamedWarning,
+    SituationError,
+    renamed,
+)
 from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
@@ -53,7 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _ended(argv: Sequence[str], interruption: Interruption) -> int:
-    """The exit code of a command, also where a signal or the reader of its output ended it."""
+    """Return the exit code of a command.
+
+    Also where a signal or the reader of its output ended it.
+    """
     try:
         code = _called(argv, interruption)
     except KeyboardInterrupt:
@@ -93,7 +101,10 @@ def _one_line(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning as one line; an old word without the name of its class."""
+    """Print a warning as one line.
+
+    That of an old word comes without the name of its class.
+    """
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
@@ -126,8 +137,8 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
         # The last net under all that is read and written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
-            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
-            "can be read and written",
+            f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
+            "and written, on a disk with free space",
             file=sys.stderr,
         )
         return 2
@@ -153,7 +164,7 @@ def _say_interrupted(arguments: argparse.Namespace) -> int:
 
 
 def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
-    """What was given, by the names of the parameters that it is for."""
+    """Return the given arguments, by the names of the parameters that they are for."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
@@ -177,7 +188,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
+    from dpbench.cli.terminal import Bar, say_ending
     from dpbench.report.write import report_and_ending
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
@@ -189,7 +200,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _say_accidents(out: Path) -> int:
-    """What befell the benchmark itself, a line each; the exit code."""
+    """Print the accidents of the benchmark itself, a line each; return the exit code."""
     from dpbench.bench.record.result_folder import accidents
 
     lost, remarks = accidents(out)
@@ -210,6 +221,7 @@ def _cells(arguments: argparse.Namespace) -> int:
 
 def _gather(arguments: argparse.Namespace) -> int:
     from dpbench.bench.gather import gather
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     out = gather(**_given(arguments, *HOW_TO_END))
@@ -218,10 +230,11 @@ def _gather(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.terminal import say_ending
     from dpbench.report.write import report_and_ending
 
     if arguments.against and arguments.solver is None:
-        raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
+        raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
     say_ending(
         *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
     )
@@ -244,8 +257,8 @@ def _compare(arguments: argparse.Namespace) -> int:
     if arguments.releases:
         return _releases(arguments)
     if len(arguments.folders) != 2:
-        found = f"{len(arguments.folders)} of them"
-        raise InputError("compare", "DIR", found, "two, A and B, or several with --releases")
+        given = f"{len(arguments.folders)} folders were given"
+        raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
     compared = compare(
         *arguments.folders,
         reference=arguments.reference,
@@ -261,12 +274,10 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _releases(arguments: argparse.Namespace) -> int:
-    from dpbench.report.compare.releases import releases
+    from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
-        from dpbench.report.compare.releases_page import write_releases
-
         write_releases(Path(arguments.html), over)
     _say_compared(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
     return 0
@@ -330,10 +341,16 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import listing
     from dpbench.cli.terminal import console
 
-    console().print(listing(arguments.what))
+    if arguments.what == "solvers":
+        from dpbench.cli.list_solvers import solver_list
+
+        console().print(solver_list())
+    else:
+        from dpbench.cli.list_problems import problem_list
+
+        console().print(problem_list(arguments.what))
     return 0
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from dpbench.cli.own_ship_files import OwnShip, cautions, scenario_text, suite_text, vessel_text
 from dpbench.cli.terminal import WIDTH
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError, one_of
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
 from dpbench.scenario.own_ship import (
     LIBRARY,
@@ -109,8 +109,8 @@ def make_own_ship(asked: argparse.Namespace) -> list[str]:
         vessel, remarks = ship.vessel, cautions(ship)
     else:
         if sea is None:
-            allowed = f"1 to {max(DP_NUMBERS)}, as {vessel_file} is there; or the ship anew"
-            raise InputError(WHERE, "--sea", "nothing", allowed)
+            instead = f"give --sea, 1 to {max(DP_NUMBERS)}, or describe the ship anew"
+            raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
     number = largest_sea(vessel) if sea is None else sea
     texts |= _sea_files(name, vessel, number, chosen=sea is None)
@@ -136,9 +136,11 @@ def _sea(text: str | None) -> int | None:
 
 
 def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """The ship that the options describe."""
+    """Make the ship that the options describe."""
     if asked.from_mss and asked.from_csv:
-        raise InputError(WHERE, "--from-csv", "--from-mss as well", "one of the two")
+        raise SituationError(
+            WHERE, "--from-csv and --from-mss exclude each other; give one of them"
+        )
     hull: Hull | None = None
     if asked.from_mss or asked.from_csv:
         hull = (
@@ -147,7 +149,7 @@ def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> Ow
     own = _particulars(numbers, hull)
     thrust = _thrust(numbers, own)
     if asked.like is not None and asked.like not in LIBRARY:
-        raise InputError(WHERE, "--like", repr(asked.like)[:80], f"one of {', '.join(LIBRARY)}")
+        raise InputError(WHERE, "--like", repr(asked.like)[:80], one_of(asked.like, list(LIBRARY)))
     like = asked.like or nearest_ship(own)
     vessel = scale_vessel(like, own, thrust, asked.name)
     if hull is not None:
@@ -156,7 +158,10 @@ def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> Ow
 
 
 def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particulars:
-    """What the options say, then what the file says; InputError for what neither does."""
+    """Read the particulars from the options, then from the file.
+
+    InputError for those that neither has.
+    """
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -178,7 +183,7 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particu
 
 
 def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
-    """The forces in N and N·m; InputError for one that no such ship has."""
+    """Read the forces in N and N·m; InputError for one that no such ship has."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
@@ -201,7 +206,7 @@ def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
 
 
 def _command(asked: argparse.Namespace) -> str:
-    """The command line again, as far as it describes the ship."""
+    """Return the command line, as far as it describes the ship."""
     words = ["dpbench", "init", asked.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
         value = getattr(asked, option.replace("-", "_"))
@@ -214,8 +219,8 @@ def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
     """Write all files, or none where one of them is there already."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
-            allowed = "a name that is free, another folder (--out) or --force"
-            raise InputError(WHERE, str(folder / name), "a file", allowed)
+            instead = "choose another name or folder (--out), or add --force to overwrite it"
+            raise SituationError(WHERE, f"{folder / name} exists; {instead}")
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -224,7 +229,7 @@ def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
 def _said(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
-    """What was written, what the sea asks of the ship, and the next commands."""
+    """List the files written, the load of the sea on the ship, and the next commands."""
     paths = [str(folder / name) for name in texts]
     share = load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]

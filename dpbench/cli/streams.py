@@ -58,7 +58,7 @@ def _is_open(number: int) -> bool:
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:
-    """The characters that an encoding has not, by those it has."""
+    """Replace the characters that an encoding lacks by those it has."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]
@@ -79,8 +79,10 @@ def is_output_lost() -> bool:
 
 
 def flush_streams() -> None:
-    """Write what is left in standard output and error, or drop it where nobody reads it: Python
-    tries it once more at its end, with a traceback."""
+    """Write what is left in standard output and error, or drop it where nobody reads it.
+
+    Python tries it once more at its end, with a traceback.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

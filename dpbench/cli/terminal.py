@@ -1,11 +1,16 @@
-"""What a terminal shows: prose and tables in 80 columns, a bar of the progress."""
+"""Terminal output: prose and tables in 80 columns, a progress bar, the end of a run."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 import textwrap
+import webbrowser
 from collections.abc import Iterable
+from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -13,7 +18,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.report.table import Table as ReportTable
+if TYPE_CHECKING:
+    from dpbench.report.table import Table as ReportTable
 
 WIDTH = 80
 """Of a file or a pipe, and the most of prose on a terminal: longer lines are hard to read."""
@@ -21,16 +27,25 @@ STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
     ("faster", "better"), "green"
 )
 """Colours of the words that a comparison is read for."""
+ENDING_STYLES = {
+    "answer": "bold green",
+    "solver": "bold green",
+    "next": "cyan",
+    "page": "bold",
+}
+"""Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
 
 
 def console() -> Console:
-    """Standard output: as wide as a terminal is, 80 columns into a file or a pipe."""
+    """Return standard output, as wide as a terminal is, 80 columns into a file or a pipe."""
     return Console() if sys.stdout.isatty() else Console(width=WIDTH)
 
 
 def wrapped(text: str, *, first: str = "", others: str = "") -> str:
-    """A paragraph in lines of 80 columns; a path or a key stays whole, so that it can be copied.
+    """Wrap a paragraph at 80 columns.
+
+    A path or a key stays whole, so that it can be copied.
 
     Parameters
     ----------
@@ -53,7 +68,7 @@ def say(lines: Iterable[str]) -> None:
 
 
 def entry(head: str, paragraphs: Iterable[str]) -> str:
-    """A name with what is said of it below, set in by four columns."""
+    """Join a name with its description below, indented by four columns."""
     return "\n".join([head, *(wrapped(p, first=_INDENT, others=_INDENT) for p in paragraphs)])
 
 
@@ -63,7 +78,7 @@ def plain(text: str) -> Text:
 
 
 def small_table(*columns: str) -> Table:
-    """An empty table whose first column is never broken."""
+    """Make an empty table whose first column is never broken."""
     table = Table(show_edge=False, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
@@ -71,7 +86,7 @@ def small_table(*columns: str) -> Table:
 
 
 def report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """A table of the report with its note below; row by row as text where it does not fit."""
+    """Show a table of the report with its note; row by row as text where it does not fit."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -103,9 +118,40 @@ def _row_by_row(table: ReportTable) -> Text:
     return said
 
 
+def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
+    """Print what a run or report ends with.
+
+    Parameters
+    ----------
+    rows : what each line is about, and the line.
+    arguments : with `json`, `quiet` and `open`.
+    """
+    if arguments.json:
+        print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
+    elif arguments.quiet:
+        print(page)
+    else:
+        _print_table([*rows, ("page", str(page))])
+    if arguments.open:
+        webbrowser.open(page.resolve().as_uri())
+
+
+def _print_table(rows: list[tuple[str, str]]) -> None:
+    screen = console()
+    screen.width = min(screen.width, WIDTH)
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for what, said in rows:
+        table.add_row(Text(what, "dim"), Text(said, ENDING_STYLES.get(what, "")))
+    screen.print(table)
+
+
 class Bar:
-    """A progress bar with the time left, fed by the campaign; a transient one leaves no line, a
-    quiet one shows nothing."""
+    """A progress bar with the time left, fed by the campaign.
+
+    A transient one leaves no line, a quiet one shows nothing.
+    """
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -139,14 +185,14 @@ class Bar:
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """A line above the bar; beside the output where there is none, unless it is quiet."""
+        """Print a line above the bar; on standard error where there is none, unless it is quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
     def waiting(self, text: str) -> None:
-        """A line beside the output, also where that is quiet."""
+        """Print a line on standard error, also where the bar is quiet."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:

@@ -17,8 +17,10 @@ TIME_S = 10
 
 
 def main(name: str) -> int:
-    """Write the numbers of the structure `name`; exit with 1, a line on stderr, where there is no
-    MATLAB file."""
+    """Write the numbers of the structure `name`.
+
+    Where there is no MATLAB file, exit with 1 and a line on stderr.
+    """
     _limit(resource.RLIMIT_AS, MEMORY_BYTES)
     _limit(resource.RLIMIT_CPU, TIME_S)
     _limit(resource.RLIMIT_CORE, 0)

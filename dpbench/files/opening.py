@@ -73,7 +73,7 @@ def opened(
 def read_bytes(
     path: Path, what: str, *, most_bytes: int, error: type[InputError] = InputError
 ) -> bytes:
-    """The content of a file that others made; raises as `opened` does."""
+    """Read the content of a file that others made; raises as `opened` does."""
     with opened(path, what, most_bytes=most_bytes, error=error) as file:
         try:
             return file.read(most_bytes)

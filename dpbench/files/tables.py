@@ -71,7 +71,7 @@ def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
 
 
 def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
-    """The table with a word of its own in each row; raises as `opened_table` does."""
+    """Decode the table, so that each row has its own text; raises as `opened_table` does."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
     check_unpacked(path, sum(map(_bytes_of, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():

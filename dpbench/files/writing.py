@@ -48,7 +48,7 @@ def new_file(path: Path) -> Path:
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """A new file that takes the place of `path` when the block ends, whole or not at all."""
+    """Provide a new file that replaces `path` when the block ends, whole or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -120,12 +120,12 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
 
 
 def list_of(folder: Path) -> Path:
-    """The file with the names of what `write_together` wrote into a folder."""
+    """Return the file with the names of what `write_together` wrote into a folder."""
     return folder.with_name(f".{folder.name}.json")
 
 
 def _written(folder: Path) -> set[str]:
-    """The files of an earlier time that are there; anybody may have changed their list."""
+    """Return the files written earlier that are there; anybody may have changed their list."""
     path = list_of(folder)
     try:
         state = path.lstat()

@@ -23,9 +23,9 @@ from dpbench.mpc.condense import (
 )
 from dpbench.mpc.kernels import reachable_limits
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.outputs import OutputBounds, instants, output_layers
-from dpbench.mpc.soft_limits import Layer, Penalty, amplitude_layer, lay
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.outputs import OutputBounds, instants, output_blocks
+from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble
+from dpbench.mpc.thruster_rows import LimitRampDown
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
 Amplitude = Literal["reachable", "hard", "soft"]
@@ -82,9 +82,9 @@ class CondensedQP:
         self._matrices: CondensedMatrices = condense_matrices(problem)
         self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
         self._build_plain()
-        extra = self._extra_layers()
+        extra = self._extra_blocks()
         if amplitude == "soft" or outputs is not None or extra:
-            self._add_layers(extra)
+            self._add_blocks(extra)
         self._prepare_emit()
 
     @property
@@ -112,22 +112,22 @@ class CondensedQP:
         self.lb: Vector = -own
         self.Z: Matrix = affine_map(problem, self._matrices, self.units)
 
-    def _extra_layers(self) -> list[Layer]:
+    def _extra_blocks(self) -> list[ConstraintBlock]:
         """Rows that a more special problem has on top, behind all others of a move."""
         return []
 
-    def _add_layers(self, extra: list[Layer]) -> None:
+    def _add_blocks(self, extra: list[ConstraintBlock]) -> None:
         """The same moves with soft amplitude limits, bounds on the outputs, or both."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), affine_map(problem, matrices, "scaled")
         penalty = Penalty.default(problem, P) if self.penalty is None else self.penalty
         soft = self.amplitude == "soft"
-        layers = [amplitude_layer(problem, Z, penalty.amplitude if soft else None)]
+        blocks = [amplitude_block(problem, Z, penalty.amplitude if soft else None)]
         if self.outputs is not None:
-            layers += output_layers(problem, matrices, self.outputs, penalty.outputs)
-        layers += extra
-        built = lay(P, Z[: len(P)], problem.du_max, layers, penalty.curvature)
+            blocks += output_blocks(problem, matrices, self.outputs, penalty.outputs)
+        blocks += extra
+        built = assemble(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape
         scaled = Units(np.ones(self.n), np.ones(self.m))
@@ -156,10 +156,10 @@ class CondensedQP:
         self._upper = slice(None), slice(0, r)
         self._lower = slice(None), slice(first, first + r)
         self._row_unit = self.scale.row[:r]
-        self._retreat: Retreat | None = None
+        self._ramp_down: LimitRampDown | None = None
         if problem.thrusters is not None and self.amplitude == "reachable":
             rates = problem.du_max, problem.row_max
-            self._retreat = Retreat(problem.thrusters, *rates, N_c, factor=self._row_unit)
+            self._ramp_down = LimitRampDown(problem.thrusters, *rates, N_c, factor=self._row_unit)
 
     def emit(
         self,
@@ -179,7 +179,7 @@ class CondensedQP:
         limits : (u_min, u_max), each (r,), in force from now on instead of the vessel's. Under
             the policy `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because
             a limit that drops below u_prev by more than one rate step leaves no feasible point.
-            A thruster whose limits drop may retreat straight to nothing (`Retreat`).
+            A thruster whose limits drop may retreat straight to nothing (`LimitRampDown`).
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -218,8 +218,8 @@ class CondensedQP:
     def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
         """Amplitude limits other than the vessel's, as the policy says."""
         problem, unit = self.control, self._row_unit
-        if self._retreat is not None:
-            self._retreat.write(u_prev, u_min, u_max, step.l, step.u)
+        if self._ramp_down is not None:
+            self._ramp_down.write(u_prev, u_min, u_max, step.l, step.u)
         elif self.amplitude == "reachable":
             limits = u_prev, u_min, u_max, problem.row_max, unit
             reachable_limits(*limits, step.l, step.u, problem.N_c)

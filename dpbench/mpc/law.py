@@ -18,6 +18,7 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace
 
 
@@ -46,6 +47,23 @@ def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) ->
     first = scipy.linalg.solve(matrices.E, slopes, assume_a="pos")[:n_u]
     K_u = None if problem.W is None else first[:, n_y + n_x :]
     return Gains(K_y=first[:, :n_y], K_mpc=first[:, n_y : n_y + n_x], K_u=K_u)
+
+
+class UnconstrainedLaw:
+    """Δu (n_u,) of eq. 33, with the gains of a builder's matrices, which may turn with the ship."""
+
+    def __init__(self, builder: CondensedQP) -> None:
+        self._builder = builder
+        self._known: tuple[CondensedMatrices, Gains] | None = None
+
+    def __call__(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
+        """Return Δu (n_u,) at x (n_x,), y_ref (n_y,) and u(k−1) (n_u,)."""
+        matrices = self._builder.matrices
+        if self._known is None or self._known[0] is not matrices:
+            self._known = matrices, gains(self._builder.control, matrices)
+        law = self._known[1]
+        move: Vector = law.K_y @ y_ref - law.K_mpc @ x
+        return move if law.K_u is None else move - law.K_u @ u_prev
 
 
 def closed_loop(model: StateSpace, law: Gains) -> Matrix:

@@ -19,7 +19,7 @@ from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.model import HORIZONTAL, ThetaLayout
-from dpbench.mpc.soft_limits import Layer, unlimited
+from dpbench.mpc.soft_limits import ConstraintBlock, unlimited
 from dpbench.ship.layout import AXES
 
 
@@ -57,10 +57,10 @@ def instants(N_p: int, N_c: int) -> Indices:
     return np.arange(1, N_c + 1) * N_p // N_c
 
 
-def output_layers(
+def output_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
-) -> list[Layer]:
-    """The layer of the watch circle and the one of the speed, whichever are asked for."""
+) -> list[ConstraintBlock]:
+    """The block of the watch circle and the one of the speed, whichever are asked for."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
@@ -69,16 +69,16 @@ def output_layers(
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
     moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, HORIZONTAL]
     i = instants(problem.N_p, problem.N_c)
-    layers = []
+    blocks = []
     if bounds.radius_m is not None:
-        layer = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
-        _centre(layer, bounds, problem.model.theta)
-        layers.append(layer)
+        block = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
+        _centre(block, bounds, problem.model.theta)
+        blocks.append(block)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
         rate, push = per_s * (free[i] - free[i - 1]), per_s * (moved[i] - moved[i - 1])
-        layers.append(_polygon(problem, bounds, rate, push, bounds.speed_mps, rho))
-    return layers
+        blocks.append(_polygon(problem, bounds, rate, push, bounds.speed_mps, rho))
+    return blocks
 
 
 def _polygon(
@@ -88,7 +88,7 @@ def _polygon(
     moved: Floats,
     radius: float,
     rho: float,
-) -> Layer:
+) -> ConstraintBlock:
     """Sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
 
     One unit of a row is what a full rate-limit step at k of the strongest axis does at the last
@@ -102,10 +102,12 @@ def _polygon(
     high[:, :, theta.one] = bounds.inside * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
-    return Layer(rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho))
+    return ConstraintBlock(
+        rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho)
+    )
 
 
-def _centre(layer: Layer, bounds: OutputBounds, theta: ThetaLayout) -> None:
-    """Move the polygon of a layer from the origin to the centre of the circle."""
-    d = bounds.directions / layer.row_unit[0]
-    layer.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d
+def _centre(block: ConstraintBlock, bounds: OutputBounds, theta: ThetaLayout) -> None:
+    """Move the polygon of a block from the origin to the centre of the circle."""
+    d = bounds.directions / block.row_unit[0]
+    block.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d

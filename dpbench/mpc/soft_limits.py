@@ -1,10 +1,10 @@
-"""Layers of rows and slacks on the moves of the condensed QP, in scaled units.
+"""Blocks of rows and slacks on the moves of the condensed QP, in scaled units.
 
-    variables of a move   [Δu/Δu_max; slacks of the layers in turn]
-    rows of a move        [rows of the layers in turn]
+    variables of a move   [Δu/Δu_max; slacks of the blocks in turn]
+    rows of a move        [rows of the blocks in turn]
     low [θ; 1] ≤ A_moves z + A_slack s ≤ high [θ; 1],   s ≥ 0,   cost ρᵀs + ½ ε sᵀs
 
-Every layer brings the same rows and slacks to each move, so a number of variables and a number of
+Every block brings the same rows and slacks to each move, so a number of variables and a number of
 rows per move shift a warm start.
 
 The penalty is exact (Fletcher 1987, section 14.3): where the problem with hard rows is feasible and
@@ -62,7 +62,7 @@ class Penalty:
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class ConstraintBlock:
     """r rows and s slacks per move.
 
     Parameters
@@ -89,7 +89,7 @@ def unlimited(like: Floats, sign: float) -> Floats:
     return rows
 
 
-def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> Layer:
+def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
     """Amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
@@ -101,12 +101,12 @@ def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> L
     low, high = Z[n:].reshape(2, N_c, r, -1)
     if rho is None:
         nothing = np.zeros(0)
-        return Layer(sums, np.zeros((r, 0)), low, high, unit, nothing, nothing)
+        return ConstraintBlock(sums, np.zeros((r, 0)), low, high, unit, nothing, nothing)
     own, slack_unit = np.eye(r), unit
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
         slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
-    return Layer(
+    return ConstraintBlock(
         np.concatenate((sums, sums), axis=1),
         np.vstack((-own, own)),
         np.concatenate((unlimited(high, -1.0), low), axis=1),
@@ -118,8 +118,8 @@ def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> L
 
 
 @dataclass(frozen=True, eq=False)
-class Layered:
-    """The matrices of a QP with layers; `block` variables per move, `si` what a unit is in SI."""
+class AssembledBlocks:
+    """The matrices of a QP with blocks; `block` variables per move, `si` what a unit is in SI."""
 
     P: Matrix
     A: Matrix
@@ -129,11 +129,11 @@ class Layered:
     si: Units
     block: int
 
-    def in_si(self) -> Layered:
+    def in_si(self) -> AssembledBlocks:
         """The same problem with z and rows in SI units."""
         z, row = self.si.z, self.si.row
         stretch = np.concatenate((1.0 / z, row, row))[:, np.newaxis]
-        return Layered(
+        return AssembledBlocks(
             self.P / np.outer(z, z),
             self.A * row[:, np.newaxis] / z,
             self.lb * z,
@@ -144,11 +144,13 @@ class Layered:
         )
 
 
-def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: float) -> Layered:
-    """Assemble the layers on the scaled cost P (n_0, n_0), q = Z_q [θ; 1] of the moves."""
+def assemble(
+    P: Matrix, Z_q: Matrix, du_max: Vector, blocks: list[ConstraintBlock], epsilon: float
+) -> AssembledBlocks:
+    """Assemble the blocks on the scaled cost P (n_0, n_0), q = Z_q [θ; 1] of the moves."""
     n_u, N_c = len(du_max), len(P) // len(du_max)
-    units = np.concatenate([du_max, *(layer.slack_unit for layer in layers)])
-    rows = np.concatenate([layer.row_unit for layer in layers])
+    units = np.concatenate([du_max, *(part.slack_unit for part in blocks)])
+    rows = np.concatenate([part.row_unit for part in blocks])
     block, m, width = len(units), N_c * len(rows), Z_q.shape[1]
     n = N_c * block
     whole_P, A = np.diag(np.full(n, epsilon)), np.zeros((m, n))
@@ -158,16 +160,16 @@ def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: fl
     whole_P[np.ix_(moves, moves)] = P
     of_q[moves] = Z_q
     row, column = 0, n_u
-    for layer in layers:
-        r, s = layer.A_slack.shape
+    for part in blocks:
+        r, s = part.A_slack.shape
         own, slacks = row_place[:, row : row + r], place[:, column : column + s]
-        A[own[:, :, np.newaxis], moves] = layer.A_moves
-        A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = layer.A_slack
-        of_q[slacks, -1] = layer.rho
-        of_low[own], of_high[own] = layer.low, layer.high
+        A[own[:, :, np.newaxis], moves] = part.A_moves
+        A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = part.A_slack
+        of_q[slacks, -1] = part.rho
+        of_low[own], of_high[own] = part.low, part.high
         row, column = row + r, column + s
     lb, ub = np.zeros((N_c, block)), np.full((N_c, block), np.inf)
     lb[:, :n_u], ub[:, :n_u] = -1.0, 1.0
     si = Units(np.tile(units, N_c), np.tile(rows, N_c))
     Z = np.concatenate((of_q, of_low, of_high))
-    return Layered(whole_P, A, lb.reshape(-1), ub.reshape(-1), Z, si, block)
+    return AssembledBlocks(whole_P, A, lb.reshape(-1), ub.reshape(-1), Z, si, block)

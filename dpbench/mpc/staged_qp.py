@@ -34,7 +34,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.terminal import riccati
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.thruster_rows import LimitRampDown
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
@@ -92,9 +92,9 @@ class StagedQP:
             array.setflags(write=False)
         # What moves are at most, summed over the moves up to each: (N_c, r).
         self._reach: Matrix = np.outer(np.arange(1.0, N_c + 1), problem.row_max / self._row_unit)
-        self._retreat: Retreat | None = None
+        self._ramp_down: LimitRampDown | None = None
         if problem.thrusters is not None:
-            self._retreat = Retreat(problem.thrusters, problem.du_max, problem.row_max, N_c)
+            self._ramp_down = LimitRampDown(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
     def _start(self, i: int) -> int:
         """The first variable of stage i."""
@@ -208,13 +208,13 @@ class StagedQP:
         low, high = u_min / self._row_unit, u_max / self._row_unit
         if self.amplitude != "reachable":
             return low, high
-        if self._retreat is None:
+        if self._ramp_down is None:
             room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
             return np.minimum(low, before + room), np.maximum(high, before - room)
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._retreat.limits(force, u_min, u_max)
+        low, high = self._ramp_down.limits(force, u_min, u_max)
         return along + low * unit, along + high * unit
 
     def _preview(self, y_ref: Matrix) -> Vector:

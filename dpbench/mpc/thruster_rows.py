@@ -98,14 +98,14 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
     return np.vstack((normals, edges)), low, high
 
 
-RETREAT = 0.9
+RAMP_DOWN_SHARE = 0.9
 """Share of the rate at which limits of a lost thruster close in, so that plans keep some freedom
 and no rounding decides whether there is one."""
-GONE = 0.05
+NEGLIGIBLE_STEPS = 0.05
 """In rate-limit steps: what is left of a force that counts as nothing, well within that freedom."""
 
 
-class Retreat:
+class LimitRampDown:
     """How limits that dropped below a force close in, so that they stay reachable at its rate.
 
         λ_i = 1 − 0.9 i Δf_max / |f| at move i, zero where hardly anything is left
@@ -154,16 +154,16 @@ class Retreat:
 
     def write(self, f: Vector, low: Vector, high: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
         """The same into the first r of the rows of each move in l and u (m,)."""
-        _close_in(self._table, f, low, high, l, u, self._shape[0])
+        _write_retreating_limits(self._table, f, low, high, l, u, self._shape[0])
 
 
-# Rows of the table that `_close_in` works on; its columns are rows k, entries or thrusters.
+# Rows of the table of `_write_retreating_limits`; its columns are rows k, entries or thrusters.
 LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(9)
 
 
 @njit(cache=True, error_model="numpy")
-def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
-    """Limits of each move less G f over row_max, times factor, into l and u (N_c rows of moves)."""
+def _write_retreating_limits(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Write each move's limits into l and u, tightened gradually where f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
         table[ALONG, k] = 0.0
@@ -179,8 +179,8 @@ def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] #
             steps += (f[j] / table[DU_MAX, j]) ** 2
         steps = np.sqrt(steps)
         for i in range(N_c):
-            left = steps - RETREAT * (i + 1)
-            share = left / steps if left > GONE else 0.0
+            left = steps - RAMP_DOWN_SHARE * (i + 1)
+            share = left / steps if left > NEGLIGIBLE_STEPS else 0.0
             shrunk = lost and share > 0.0
             for k in range(first, end):
                 along, least, most = table[ALONG, k], low[k], high[k]

@@ -43,13 +43,13 @@ class RunPlots:
     def steps(self) -> Any:
         """Step time, error of the first move, iterations and forces over the steps."""
         from dpbench.analysis.verdict.demand import Demand
-        from dpbench.report.charts.strips import strips
+        from dpbench.report.charts.steps import strips
 
         run = self._run
         return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
 
     def ship(self, *others: JudgedRun) -> Any:
-        """The ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
+        """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises
         ------
@@ -73,7 +73,10 @@ class RunPlots:
         return precision(_laws((self._run, *others)), scenario)
 
     def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """The scenario of this run and of all others, which may differ in length."""
+        """Return the scenario of this run.
+
+        All others have the same, but for its length.
+        """
         scenario = self._run.scenario
         for run in (self._run, *others):
             if run.scenario is None or scenario is None:
@@ -86,7 +89,7 @@ class RunPlots:
 
 
 def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """The runs as laws of a figure, those of one name numbered."""
+    """Convert the runs to laws of a figure, those of one name numbered."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
@@ -98,10 +101,9 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
-    from dpbench.analysis.records.counting_rows import counting_of
-    from dpbench.analysis.records.run_steps import run_steps
-    from dpbench.report.charts.strips import NO_ANSWER
+    """Make the rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
+    from dpbench.analysis.records.run_steps import counting_of, run_steps
+    from dpbench.report.charts.steps import NO_ANSWER
 
     ((_, run),) = run_steps(counting_of(steps))
     return pd.DataFrame(
@@ -118,7 +120,7 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def _forces_of(run: JudgedRun) -> pd.DataFrame:
-    """The forces of a closed loop as shares of their limits; no row of a replay."""
+    """Return the forces of a closed loop as shares of their limits; no row of a replay."""
     from dpbench.analysis.records.kept_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 

@@ -34,9 +34,7 @@ class Results(result_folder.Results):
     @property
     def answer(self) -> str:
         """What the page answers: which configuration to use and why, or what the suite asks."""
-        from dpbench.report.ending import ending
-
-        rows = ending(self._report.facts, self._report.answer, self._report.topics)
+        rows = self._report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
     @property
@@ -45,18 +43,18 @@ class Results(result_folder.Results):
         return self._report.tables
 
     def verdict(self) -> pd.DataFrame:
-        """A row for each configuration: whether it meets the demand, why not, and its figures.
+        """Judge each configuration: a row with its verdict, the reason and its figures.
 
         Times in µs; error_move and failed_steps over all its runs.
         """
         return self.tables["verdicts"]
 
     def hard_steps(self) -> pd.DataFrame:
-        """The five hardest steps of each run by time [µs], by iterations and by error."""
+        """Return the five hardest steps of each run by time [µs], by iterations and by error."""
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """The best configuration of each solver that was timed, with its step times [µs].
+        """Return the best configuration of each solver that was timed, with its step times [µs].
 
         `share` is what calling a library that does nothing takes of its median.
         """
@@ -76,10 +74,10 @@ class Results(result_folder.Results):
         return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
 
     def _repr_html_(self) -> str:
-        """The answer, and the best configuration of each solver."""
+        """Return the answer, and the best configuration of each solver, as HTML."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(self._report.facts, best_of_each(self._report.facts.verdicts))
+        rows = solver_rows(self._report.data, best_of_each(self._report.data.verdicts))
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 

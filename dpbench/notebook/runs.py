@@ -7,22 +7,24 @@ that crashes, and no core is pinned. The assessment is the same.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
+from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.memory_of_answers import is_remembered
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
-from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.display import fields_html
@@ -107,7 +109,7 @@ class Run:
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
     def _control(self) -> dict[str, str]:
-        """What is said of the ship."""
+        """Describe the run of a ship, by the names of fields."""
         if self.scenario is None:
             return {}
         row = self.summary
@@ -126,7 +128,7 @@ def run_closed_loop(
     *,
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
-    fallback: Fallback = "shifted_plan",
+    fallback: str = DEFAULT_FALLBACK,
     backup: str = "",
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
@@ -206,7 +208,7 @@ def replay(
     return _run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
 
 
-def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
+def _check(key: str, value: str, allowed: Collection[str]) -> None:
     if value not in allowed:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
@@ -218,7 +220,7 @@ def _check_workspace(workspace: object, formulation: str) -> None:
 
 
 def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
-    """The cell of a run of a workspace, whose settings have no name."""
+    """Make the cell of a run of a workspace, whose settings have no name."""
     return Cell(
         solver=workspace.solver,
         route=workspace.route,

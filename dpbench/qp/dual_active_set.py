@@ -165,7 +165,7 @@ class DualActiveSet:
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
     def _most_violated(self) -> tuple[int, float]:
-        """The inactive row violated most, and +1 at its upper or −1 at its lower limit."""
+        """Return the inactive row violated most, and +1 at its upper or −1 at its lower limit."""
         w = self._x @ self._J
         over, under = w - self._upper, self._lower - w
         noise = VIOLATED * float(np.max(np.abs(w), initial=0.0))
@@ -221,7 +221,10 @@ class DualActiveSet:
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
-        """r and d with a = J_W r + d, d orthogonal to J_W; projected twice against rounding."""
+        """Return r and d with a = J_W r + d, d orthogonal to J_W.
+
+        Projected twice against rounding.
+        """
         if not self._active:
             return np.empty(0), a
         c = self._Q.T @ a

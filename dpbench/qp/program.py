@@ -1,4 +1,4 @@
-"""The language all rooms speak: a quadratic program, one step of it, a recorded sequence.
+"""The types all packages share: a quadratic program, one step of it, a recorded sequence.
 
     minimise ½ zᵀP z + qᵀz   subject to   l ≤ A z ≤ u,   lb ≤ z ≤ ub
 
@@ -118,7 +118,7 @@ class QuadraticProgram:
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
     def copy(self) -> QuadraticProgram:
-        """The same problem in memory that nobody else holds."""
+        """Copy the problem into memory that nobody else holds."""
         P, q, A, l, u, lb, ub = (  # noqa: E741 - the name in OSQP's notation, as `l` above
             array.copy() for array in (self.P, self.q, self.A, self.l, self.u, self.lb, self.ub)
         )
@@ -135,7 +135,7 @@ class QuadraticProgram:
         return False
 
     def at(self, step: QPStep) -> QuadraticProgram:
-        """The problem after `step`: its vectors, and its matrices where it brings any."""
+        """Return the problem after `step`: its vectors, and its matrices where it brings any."""
         return QuadraticProgram(
             self.P if step.P is None else step.P,
             step.q,
@@ -172,7 +172,7 @@ class QPStep:
         return Refresh.VECTORS | Refresh.MATRICES
 
     def copy(self) -> QPStep:
-        """The same step in memory that nobody else holds."""
+        """Copy the step into memory that nobody else holds."""
         P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
         return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 
@@ -245,12 +245,12 @@ class QPSequence:
         return step
 
     def problem(self, k: int) -> QuadraticProgram:
-        """The whole problem of step k."""
+        """Return the whole problem of step k."""
         return self.base.at(self.step(k))
 
 
 def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
-    """The same QPs in the units `units` stands for, with `scaled` as their scaled form.
+    """Convert QPs to the units `units` stands for, with `scaled` as their scaled form.
 
         P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
 

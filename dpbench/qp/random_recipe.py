@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 from dpbench.errors import InputError
 from dpbench.qp.program import in_blocks
@@ -120,15 +118,6 @@ class RandomRecipe:
             if getattr(self, key) != defaults[key]
         )
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The recipe as plain values, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> RandomRecipe:
-        """The recipe that `to_dict` described."""
-        return cls(**values)
 
 
 def _refused(key: str, found: object, allowed: str) -> InputError:

@@ -35,12 +35,12 @@ FACTOR = 2.0**-7
 
 
 def on_grid(x: Vector, unit: float) -> Vector:
-    """The nearest multiples of a power of two."""
+    """Round to the nearest multiples of a power of two."""
     return np.rint(x / unit) * unit
 
 
 def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
-    """A positive definite P (n, n) with eigenvalues from cond^−½ to cond^½."""
+    """Draw a positive definite P (n, n) with eigenvalues from cond^−½ to cond^½."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
     unit = 2.0 ** (math.ceil(0.5 * math.log2(cond)) - COST_BITS)
@@ -48,7 +48,7 @@ def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
 
 
 def semidefinite_cost(rng: np.random.Generator, n: int, rank: int) -> Matrix:
-    """A positive semidefinite P (n, n) of that rank, exactly."""
+    """Draw a positive semidefinite P (n, n) of that rank, exactly."""
     B = on_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
@@ -86,12 +86,12 @@ class Planted:
 
 
 def random_sequence(recipe: RandomRecipe) -> QPSequence:
-    """The sequence of a recipe; the same recipe gives the same bits."""
+    """Make the sequence of a recipe; the same recipe gives the same bits."""
     return planted(recipe).sequence
 
 
 def planted(recipe: RandomRecipe) -> Planted:
-    """The sequence of a recipe with its optima; the same recipe gives the same bits."""
+    """Make the sequence of a recipe with its optima; the same recipe gives the same bits."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
     rng = np.random.default_rng(seed)
@@ -259,7 +259,7 @@ def _plant(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
 
 
 def _contradicted(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
-    """The step without a feasible point, and the Farkas vector that proves it.
+    """Make the step infeasible; return it with the Farkas vector that proves it.
 
     In turn: a row demands more than the bounds allow, or than its copy does.
     """

@@ -30,8 +30,10 @@ Number = TypeVar("Number", float, Vector)
 
 @dataclass(frozen=True, slots=True)
 class Residuals(Generic[Number]):
-    """How far an answer is from satisfying the optimality conditions, in the units of its QP; of
-    several answers (K,) each."""
+    """Residuals of the optimality conditions at an answer, in the units of its QP.
+
+    Of several answers (K,) each.
+    """
 
     primal: Number
     dual: Number
@@ -40,7 +42,7 @@ class Residuals(Generic[Number]):
 
 
 def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
-    """The residuals of `solution`; its status is not looked at.
+    """Compute the residuals of `solution`; its status is not looked at.
 
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
@@ -61,8 +63,9 @@ def residuals_of_all(
     y: Matrix,
     y_box: Matrix,
 ) -> Residuals[Vector]:
-    """As `residuals`, of K answers z, y_box (K, n), y (K, m) to K QPs with the matrices and bounds
-    of `qp` and with q (K, n), l, u (K, m) of their own.
+    """Compute the residuals of K answers z, y_box (K, n), y (K, m) to K QPs.
+
+    The QPs have the matrices and bounds of `qp`, and q (K, n), l, u (K, m) of their own.
 
     Summed without BLAS, so that no answer's last bits depend on how many others there are.
     """
@@ -94,12 +97,12 @@ def residuals_of_all(
 
 
 def _sized(numbers: Vector, lost: Flags) -> Vector:
-    """The numbers, with NaN as the error it is, and inf where all is lost."""
+    """Replace NaN by the error it is, and everything by inf where all is lost."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
 def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
-    """The multipliers that explain `z` best, for answers that come without any.
+    """Find the multipliers that explain `z` best, for answers that come without any.
 
     Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within
     tol·(1 + |limit|); a row that meets both of its limits may have either sign.

@@ -44,6 +44,11 @@ class Status(IntEnum):
         return self in _USABLE
 
     @property
+    def is_unfinished(self) -> bool:
+        """Whether a usable iterate under this status is applied and marked."""
+        return self in _UNFINISHED
+
+    @property
     def denies_optimum(self) -> bool:
         """Whether it is the claim that there is no optimum."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
@@ -62,7 +67,8 @@ _SENTENCES = {
     Status.ERROR: "The library raised an exception or refused the problem.",
     Status.UNKNOWN: "The library's answer has no documented meaning, or makes no claim.",
 }
-_USABLE = frozenset({Status.SOLVED, Status.INACCURATE, Status.MAX_ITERATIONS, Status.UNKNOWN})
+_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+_USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 
 @dataclass(slots=True, eq=False)
@@ -96,7 +102,7 @@ class Solution:
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), detail=detail)
 
     def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
-        """The same claim, count, time and words with other numbers, which are not copied."""
+        """Return the same claim, count, time and words with other numbers, which are not copied."""
         told = self.iterations, self.reported_ns, self.detail
         return Solution(self.status, z, y, y_box, *told)
 
@@ -178,7 +184,7 @@ def _taken(answer: Any, n: int, m: int) -> Solution:
 
 
 def _array(name: str, value: Any, size: int) -> Vector:
-    """A float64 array as it lies in memory; whatever else could be made one is none."""
+    """Return a float64 array as it lies in memory; whatever else could be made one is none."""
     if not isinstance(value, np.ndarray):
         raise _MalformedError(f"{name} is {_kind(value)}, not an array")
     # Of a subclass the numbers in its memory, and nothing it would do when asked for them.
@@ -200,5 +206,5 @@ def _integer(name: str, value: Any) -> int:
 
 
 def _kind(value: Any) -> str:
-    """The type of a value in words."""
+    """Return the type of a value in words."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -16,7 +16,7 @@ from dpbench.qp.solution import Solution
 
 
 def stack(qp: QuadraticProgram) -> QuadraticProgram:
-    """The same problem with 2m + 2n one-sided rows and no bounds (eq. 25).
+    """Stack a problem into 2m + 2n one-sided rows without bounds (eq. 25).
 
     Rows of one move lie apart here, so `block` is 0; `moves` is kept.
     """
@@ -29,7 +29,9 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """The step of the stacked problem; its γ starts from that of `stacked`, whose box part stays.
+    """Stack a step.
+
+    Its γ starts from that of `stacked`, whose box part stays.
 
     Matrix updates bring P and A of the two-sided form; the stacked M is then rebuilt.
     """
@@ -51,7 +53,7 @@ def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
 
 
 def unstack(solution: Solution, m: int) -> Solution:
-    """The solution of the two-sided problem with m rows, from that of the stacked one."""
+    """Return the solution of the two-sided problem with m rows, from that of the stacked one."""
     n = solution.z.shape[0]
     lam = solution.y
     y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]

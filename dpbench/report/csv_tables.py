@@ -20,9 +20,9 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.files.writing import write_together
 from dpbench.report.escaped import csv_bytes, markdown_text
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation
+from dpbench.report.page.section import Topic
 from dpbench.report.words import beside, document
 
 LEGEND = "README.md"
@@ -33,7 +33,7 @@ RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
 def tables_of(
-    results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]
+    results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
     """All tables by name; one that has nothing to say has no row.
 
@@ -41,11 +41,11 @@ def tables_of(
     """
     tables = {
         "runs": results.runs.drop(columns="cell"),
-        "verdicts": _verdicts(facts, answer),
-        "places": tile_table(facts),
-        "hard_steps": hard_step_table(facts, facts.kept),
-        "ladder": _ladder(facts),
-        "paired_ratios": ratio_table(facts),
+        "verdicts": _verdicts(data, recommendation),
+        "places": tile_table(data),
+        "hard_steps": hard_step_table(data, data.kept),
+        "ladder": _ladder(data),
+        "paired_ratios": ratio_table(data),
     }
     for topic in topics:
         for i, small in enumerate(topic.tables):
@@ -80,18 +80,18 @@ def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
     return document("tables.md", tables=said)
 
 
-def _ladder(facts: Facts) -> pd.DataFrame:
+def _ladder(data: PageData) -> pd.DataFrame:
     """The ladder in microseconds, as the page says them; the figure's axis has milliseconds."""
-    table = time_table(facts).drop(columns="id")
+    table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
     return table.rename(columns={name: f"{name.removesuffix('_ms')}_us" for name in times})
 
 
-def _verdicts(facts: Facts, answer: Answer) -> pd.DataFrame:
+def _verdicts(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
     """The verdicts with why they are so, in words."""
-    table = verdict_table(facts)
+    table = verdict_table(data)
     if len(table):
-        why = [answer.why(verdict) for verdict in facts.verdicts.all]
+        why = [recommendation.why(verdict) for verdict in data.verdicts.all]
         table.insert(list(table).index("outcome") + 1, "why", why)
     return table

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
-
-from dpbench.analysis.records.run_record import as_float
+from typing import Any
 
 MISSING = "–"
 """Stands where there is no number."""
@@ -88,6 +87,14 @@ def of_sample_text(share: float) -> str:
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
 
+def as_float(value: object) -> float:
+    """Return a number out of a table as a float; a missing one (None, pd.NA, NaN) is NaN."""
+    try:
+        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def count_text(value: object) -> str:
     """A count with thin spaces between thousands; a missing one is a dash."""
     number = as_float(value)
@@ -129,3 +136,11 @@ def counted_list(counts: Iterable[tuple[str, int]]) -> str:
 def unmarked(text: str) -> str:
     """Without the marks of Markdown, which a page and a terminal would show."""
     return text.replace("**", "").replace("`", "")
+
+
+def toml_text(value: Any) -> str:
+    """A number of six digits as a TOML float; of an array its rows."""
+    if isinstance(value, Iterable):
+        return f"[{', '.join(map(toml_text, value))}]"
+    text = f"{float(value):.6g}"
+    return text if any(sign in text for sign in ".en") else f"{text}.0"

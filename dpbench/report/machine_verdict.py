@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan
-from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.machine import largest_of
 from dpbench.bench.judge.calibration import within_bar
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.formats import (
     MISSING,
@@ -35,7 +35,7 @@ def calibration_text(p50_ns: dict[str, float]) -> str:
     return f"{verdict} ({said})"
 
 
-def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
+def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
     """What is known of a machine, whatever ran on it."""
 
     def of(key: str, unit: str = "") -> str:

@@ -1,8 +1,8 @@
-"""What a report is made of: the results, what is known of them, the answer, the topics."""
+"""What a report is made of: the results, what is known of them, the recommendation, the topics."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,17 +10,30 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.machine import (
+    calibration_medians,
+    delayed_runs,
+    disturbance_of,
+    timed_runs,
+)
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.render import can_draw
+from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import tables_of
-from dpbench.report.page.answer import Answer, answer_of
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
-from dpbench.report.page.write import DRAWN, charts_of
+from dpbench.report.machine_verdict import calibration_text, verdict_text
+from dpbench.report.page.data import PageData
+from dpbench.report.page.live import charts_of, drawn_figures
+from dpbench.report.page.recommendation import Recommendation, build_recommendation
+from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import topics_of
+from dpbench.report.verdict_text import counted
+
+TERMINAL_NOTES = ("slower", "faster", "open", "next")
+"""The notes of the recommendation that are worth a line on a terminal."""
+BESIDE = ("slowdown", "random", "consequence")
+"""Topics that have a line of their own there where they are not the answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +41,8 @@ class Report:
     """What a report is made of."""
 
     results: Results
-    facts: Facts
-    answer: Answer
+    data: PageData
+    recommendation: Recommendation
     topics: Sequence[Topic]
 
     @classmethod
@@ -48,28 +61,54 @@ class Report:
             `write_report`.
         """
         records, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(records, verdicts_of(records, demand))
+        data = PageData.of(records, verdicts_of(records, demand))
         named = results.suite.get("report", {}).get("baseline")
-        if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
+        if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
-        answer = answer_of(facts, results.machine, baseline or named)
-        topics = topics_of(records, facts.verdicts, designs, capability, facts.studies)
+        recommendation = build_recommendation(data, results.machine, baseline or named)
+        topics = topics_of(records, data.verdicts, designs, capability, data.studies)
         if not can_draw():
             topics = [replace(topic, figures=()) for topic in topics]
-        return cls(results, facts, answer, topics)
+        return cls(results, data, recommendation, topics)
 
     @cached_property
-    def charts(self) -> Mapping[str, Any]:
-        """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts) if can_draw() else {}
+    def charts(self) -> Mapping[str, dict[str, Any]]:
+        """The figures that follow the selection, by section of the page and name."""
+        return charts_of(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.facts, self.answer, self.topics)
+        return tables_of(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
         """The figures that stand alone, by name."""
-        own = {name: chart for name, chart in self.charts.items() if name in DRAWN}
+        own = drawn_figures(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
+
+    def summary_rows(self) -> list[tuple[str, str]]:
+        """List what a run ends with on a terminal, each line with a word for what it is about: the
+        answer, its notes, the count of the solvers, machine and harness."""
+        lead = next((topic for topic in self.topics if topic.leads), None)
+        rows = [("answer", lead.lines[0])] if lead else []
+        headline, verdicts = self.recommendation, self.data.verdicts
+        if headline.sentence and not (lead and lead.id == "loops"):
+            rows.append(("solver" if lead else "answer", headline.sentence))
+        rows += [note for note in headline.notes if note[0] in TERMINAL_NOTES]
+        beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
+        rows += [(topic.id, topic.lines[0]) for topic in beside]
+        if verdicts.of:
+            rows.append(("solvers", f"{counted(verdicts)}."))
+        return [*rows, *self._machine_rows()]
+
+    def _machine_rows(self) -> Iterator[tuple[str, str]]:
+        """What of machine, harness and figures limits the results."""
+        records = self.data.records
+        disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
+        if disturbance.seconds > 0:
+            yield "machine", f"{verdict_text(disturbance)}."
+        if medians := calibration_medians(records.calibration):
+            yield "harness", f"{calibration_text(medians)}."
+        if not can_draw():
+            yield "figures", f"{NOT_DRAWN}."

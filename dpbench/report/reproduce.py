@@ -19,10 +19,9 @@ from dpbench.files.writing import write_bytes, write_text
 from dpbench.report.charts.render import encoded
 from dpbench.report.escaped import csv_bytes
 from dpbench.report.formats import plural, unmarked
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import markdown
-from dpbench.report.topics.claims import Claim, claims
-from dpbench.report.topics.paper import held_text, paper_topic
+from dpbench.report.topics.paper import Claim, claims, held_text, paper_topic
 from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario
 

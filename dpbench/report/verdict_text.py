@@ -11,7 +11,7 @@ from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.pairs import PairedComparison
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import Recommendation, best_of_each, known_record
+from dpbench.analysis.verdict.fastest import SolverChoice, best_of_each, known_record
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, detail
 from dpbench.report.formats import (
@@ -74,7 +74,7 @@ _GROUPS = {
 }
 
 
-def aboard(solver: str) -> str:
+def deployment_facts(solver: str) -> str:
     """Licence, language and C code of a solver, in a sentence."""
     known = known_record(solver)
     if known is None:
@@ -86,7 +86,7 @@ def aboard(solver: str) -> str:
     )
 
 
-def why_nothing(view: Records, verdicts: Verdicts, recommendation: Recommendation) -> str:
+def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice) -> str:
     """Why nothing is recommended."""
     if recommendation.faster is not None:
         return (

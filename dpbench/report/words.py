@@ -23,6 +23,7 @@ FILTERS = {
     "share": formats.share_text,
     "significant": formats.significant,
     "time": formats.time_text,
+    "toml": formats.toml_text,
 }
 
 

@@ -17,7 +17,6 @@ from dpbench.report.documents.comment import beside, worst_text
 from dpbench.report.documents.markdown import report_markdown
 from dpbench.report.documents.sent import PAGE, prepare
 from dpbench.report.documents.statement import write_statement
-from dpbench.report.ending import ending
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
 
@@ -53,7 +52,7 @@ def report_and_ending(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """As `write_report`; with it what a run ends with: see `ending`.
+    """As `write_report`; with it what a run ends with: see `Report.summary_rows`.
 
     Parameters
     ----------
@@ -77,17 +76,17 @@ def report_and_ending(
         comment, worst = ("", []) if solver is None else beside(report, solver, against)
         drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
         if statement is not None:
-            write_statement(Path(statement), folder, report.results, report.facts)
+            write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        text = report_markdown(report.results, report.facts, report.answer, report.topics)
+        text = report_markdown(report.results, report.data, report.recommendation, report.topics)
         write_text(folder / "report.md", text)
         page = folder / "report.html"
         write_text(page, _page(folder, report))
         if send is not None:
             prepare(folder, Path(send))
             write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
-        ended = ending(report.facts, report.answer, report.topics)
+        ended = report.summary_rows()
         if solver is not None:
             write_text(folder / f"{solver}.md", comment)
             ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
@@ -97,7 +96,7 @@ def report_and_ending(
 def _page(folder: Path, report: Report, *, light: bool = False) -> str:
     """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
     r, light = report, light or not can_draw()
-    return page_html(folder, r.results, r.facts, r.answer, r.charts, r.topics, light=light)
+    return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ from dpbench.mpc.thrusters.allocation_qp import AllocationProblem
 from dpbench.mpc.thrusters.attainable_set import AttainableSet, attainable_set
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
 from dpbench.scenario.tables.scenario_file import ControllerTable, FaultTable, ScenarioFile
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.froude import Froude
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
@@ -181,14 +181,14 @@ def _without(
 
 def actuators_of(
     spec: ScenarioFile, control: ThrusterControl | None, sample_s: float, scale: Froude
-) -> Actuators | SteeredThrusters | None:
+) -> Actuators | CommandedThrusters | None:
     """What stands between commands and the hull; None for nothing."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
     if control is not None:
         lag_s = plant.thruster_lag_s * scale.time
-        return SteeredThrusters(control.thrusters, sample_s, lag_s, behind)
+        return CommandedThrusters(control.thrusters, sample_s, lag_s, behind)
     if not loss.any() and plant.delay_samples == 0:
         return None
     return behind

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
-from dpbench.errors import InputError
+from dpbench.errors import InputError, one_of
 from dpbench.files.mat import read_structure
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
@@ -185,7 +185,7 @@ def _values(path: Path) -> dict[str, float]:
         name = cell.strip()
         if name not in known or name in values:
             found = "a second row" if name in values else "an unknown coefficient"
-            raise InputError(str(path), repr(name)[:80], found, f"each once, of {', '.join(known)}")
+            raise InputError(str(path), repr(name)[:80], found, f"each once, {one_of(name, known)}")
         values[name] = _number(path, name, rest[0] if rest else "")
     return values
 

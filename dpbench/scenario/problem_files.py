@@ -6,12 +6,11 @@ taken as a path, so an engineer's own files need no installation.
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypedDict, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -36,6 +35,20 @@ _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DEPTH}}}")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _Model = TypeVar("_Model", bound=BaseModel)
+
+
+class VesselDocuments(TypedDict, total=False):
+    """A vessel's file as plain values, and its name."""
+
+    vessel_name: str
+    vessel: dict[str, Any]
+
+
+class ScenarioDocuments(VesselDocuments, total=False):
+    """What a scenario is made from: its file, that of its vessel, and its name."""
+
+    name: str
+    scenario: dict[str, Any]
 
 
 class FileModel(BaseModel):
@@ -124,11 +137,11 @@ def is_stored(name: str | Path) -> bool:
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """The error of a name that no file of its kind has, with the nearest names and all of them.
+    """The error of a name that no file of its kind has, with the nearest names.
 
     `otherwise` is what could stand there instead of a name.
     """
-    allowed = one_of(text, problem_names(kind))
+    allowed = one_of(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
@@ -174,10 +187,8 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
-            names = _allowed_keys(model, keys[:-1])
-            near = difflib.get_close_matches(keys[-1], names, n=1)
-            hint = f"{near[0]}? All keys: " if near else ""
-            raise InputError(where, key, "an unknown key", hint + ", ".join(names)) from error
+            allowed = one_of(keys[-1], _allowed_keys(model, keys[:-1]))
+            raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")

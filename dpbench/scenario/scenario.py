@@ -6,7 +6,6 @@ import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,10 +33,16 @@ from dpbench.scenario.commanded_thrusters import (
     thruster_control,
 )
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
-from dpbench.scenario.problem_files import parse_model, problem_path, read_model
+from dpbench.scenario.problem_files import (
+    ScenarioDocuments,
+    VesselDocuments,
+    parse_model,
+    problem_path,
+    read_model,
+)
 from dpbench.scenario.tables.scenario_file import ControllerTable, ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
@@ -79,7 +84,7 @@ class Scenario:
     shows: str
     vessel: Vessel
     true_ship: Vessel
-    actuators: Actuators | SteeredThrusters | None
+    actuators: Actuators | CommandedThrusters | None
     environment: Environment
     estimation: EstimatorChoice
     steps: int
@@ -103,7 +108,7 @@ class Scenario:
     terminal: Terminal
     faults: tuple[tuple[int, Vector, Vector], ...]
     tuning: str
-    files: dict[str, Any]
+    files: ScenarioDocuments
 
     def __repr__(self) -> str:
         return (
@@ -224,7 +229,7 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
         vessel_path = problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:
         raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from error
-    files = {
+    files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),
         **vessel_files(vessel_path),
@@ -238,19 +243,19 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
     return read_model(path, VesselFile).vessel(path.stem, str(path))
 
 
-def vessel_files(name_or_path: str | Path, *, beside: Path | None = None) -> dict[str, Any]:
+def vessel_files(name_or_path: str | Path, *, beside: Path | None = None) -> VesselDocuments:
     """What of `Scenario.files` is the vessel's; a relative path as in `load_scenario`."""
     path = problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
 
 
-def vessel_of(files: dict[str, Any], where: str = "vessel") -> Vessel:
+def vessel_of(files: VesselDocuments, where: str = "vessel") -> Vessel:
     """The vessel of such documents."""
     return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
 
 
 def scenario_of(
-    files: dict[str, Any], where: str = "scenario", vessel_where: str = "vessel"
+    files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
     """The scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
     spec = parse_model(files["scenario"], ScenarioFile, where)
@@ -259,8 +264,7 @@ def scenario_of(
     scale = Froude(ship_file.model_scale)
     controller, plant = spec.controller, spec.plant
     sample_s = spec.sample_s * scale.time
-    steps = round(spec.duration_s / spec.sample_s)
-    if not 1 <= steps <= MAX_STEPS:
+    if not 1 <= spec.steps <= MAX_STEPS:
         allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
         raise InputError(where, "duration_s", spec.duration_s, allowed)
     true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
@@ -282,7 +286,7 @@ def scenario_of(
         actuators=actuators_of(spec, control, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
-        steps=steps,
+        steps=spec.steps,
         sample_s=sample_s,
         start=spec.start.pose() * scale.pose,
         velocity=spec.start.velocity() * scale.velocity,
@@ -307,7 +311,7 @@ def scenario_of(
     )
 
 
-def scenario_once(files: dict[str, Any]) -> Scenario:
+def scenario_once(files: ScenarioDocuments) -> Scenario:
     """As `scenario_of`, for documents of which many cells ask the same: made once a process, in
     whatever seas."""
     weather = files["scenario"].get("environment", {})

@@ -11,15 +11,13 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from dpbench.errors import InputError, one_of
-from dpbench.scenario.problem_files import problem_path, read_model
-from dpbench.scenario.scenario import Scenario, scenario_of
-from dpbench.scenario.tables.vessel_file import VesselFile
+from dpbench.scenario.problem_files import ScenarioDocuments
+from dpbench.scenario.scenario import Scenario, scenario_of, vessel_files
 from dpbench.ship.plant import SUBSTEPS
 
-Files = dict[str, Any]
 VESSEL = "vessel"
 SEED = "environment.seed"
 """Any whole number makes a sea of its own, and changes nothing else."""
@@ -45,21 +43,24 @@ def varied(
 
 
 def varied_files(
-    files: Files, values: Mapping[str, object], where: str, *, beside: Path | None = None
-) -> Files:
+    files: ScenarioDocuments,
+    values: Mapping[str, object],
+    where: str,
+    *,
+    beside: Path | None = None,
+) -> ScenarioDocuments:
     """The documents of `varied`; whether they make a scenario is not looked at."""
-    files = dict(files)
+    changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
-            path = problem_path("vessels", str(value), beside=beside)
-            files |= {"vessel": read_model(path, VesselFile).model_dump(), "vessel_name": path.stem}
+            changed |= vessel_files(str(value), beside=beside)
     for key, value in values.items():
         if key != VESSEL:
             parts = key.split(".")
             file = "vessel" if parts[0] == VESSEL else "scenario"
             path_in_file = parts[1:] if file == "vessel" else parts
-            files[file] = _with(files[file], path_in_file, value, f"{where}: {key}")
-    return files
+            changed[file] = _with(changed[file], path_in_file, value, f"{where}: {key}")
+    return cast(ScenarioDocuments, changed)
 
 
 def value_of(scenario: Scenario, key: str, where: str) -> object:

@@ -28,13 +28,13 @@ class Actuators:
     delay_samples: int = 0
 
     def start(self) -> Thrust:
-        """The actuators of one run, at rest."""
+        """Make the actuators of one run, at rest."""
         return Thrust(self)
 
 
 @dataclass(frozen=True, eq=False)
-class SteeredThrusters:
-    """Thrusters whose forces are the command.
+class CommandedThrusters:
+    """Thrusters whose forces the controller commands, with lag and losses.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class SteeredThrusters:
     behind: Actuators
 
     def start(self) -> ThrusterForces:
-        """The thrusters of one run, at rest."""
+        """Make the thrusters of one run, at rest."""
         return ThrusterForces(self)
 
 
@@ -59,7 +59,10 @@ class Delayed:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
     def oldest(self, command: Vector) -> Vector:
-        """The command that arrives in this sample, in which `command` is given; a view."""
+        """Return the command that arrives in this sample; a view.
+
+        `command` is given in this sample.
+        """
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
         # After the step the place to be written next holds the oldest command.
@@ -76,7 +79,10 @@ class Thrust:
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
-        """The force on the hull in this sample for the command tau (3,); valid until the next."""
+        """Return the force on the hull in this sample for the command tau (3,).
+
+        Valid until the next call.
+        """
         np.multiply(self._efficiency, self._late.oldest(tau), out=self._delivered)
         return self._delivered
 
@@ -89,23 +95,23 @@ class ThrusterForces:
     f : (n_f,) their forces at the end of the last sample [N].
     """
 
-    def __init__(self, steered: SteeredThrusters) -> None:
-        thrusters, behind = steered.thrusters, steered.behind
+    def __init__(self, commanded: CommandedThrusters) -> None:
+        thrusters, behind = commanded.thrusters, commanded.behind
         self.f = np.zeros(thrusters.n_f)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
-        self._step_max = thrusters.step_max(steered.sample_s)
+        self._step_max = thrusters.step_max(commanded.sample_s)
         self._late = Delayed(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
             for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
             if thruster.kind == "azimuth"
         ]
-        lag = steered.lag_s / steered.sample_s
+        lag = commanded.lag_s / commanded.sample_s
         self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
         self._mean = lag * (1.0 - self._left)
 
     def deliver(self, command: Vector) -> Vector:
-        """The force on the hull (3,) in this sample for the command f (n_f,)."""
+        """Return the force on the hull (3,) in this sample for the command f (n_f,)."""
         goal, f = self._late.oldest(command), self.f
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:

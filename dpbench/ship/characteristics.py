@@ -37,8 +37,10 @@ def axis_time_constants_s(vessel: Vessel) -> Vector:
 
 
 def steady_speed(vessel: Vessel) -> Matrix:
-    """Speed at which damping balances the full force astern, port, port; ahead, starboard,
-    starboard: (2, 3) [m/s, m/s, rad/s], each with the other axes held."""
+    """Return the speeds at which damping balances the full forces, the other axes held.
+
+    (2, 3) [m/s, m/s, rad/s]: astern, port, port; ahead, starboard, starboard.
+    """
     return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
 
 
@@ -58,7 +60,7 @@ def sideways_force(vessel: Vessel) -> Vector:
 
 
 def largest_current_abeam_mps(vessel: Vessel) -> float:
-    """Current abeam [m/s] that the weaker side of the limits of all axes still balances."""
+    """Return the current abeam [m/s] that the weaker side of the limits of all axes balances."""
     reach = np.minimum(-vessel.tau_min, vessel.tau_max)
     per_mps = np.abs(sideways_force(vessel))
     return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
@@ -99,6 +101,6 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
 
 
 def _shares(towards_rad: float) -> Vector:
-    """What |V| u, |V| v and −2 u v are for V of length 1 in that direction: (3,)."""
+    """Return |V| u, |V| v and −2 u v for V of length 1 in that direction: (3,)."""
     u, v = np.cos(towards_rad), np.sin(towards_rad)
     return np.array([u, v, -2.0 * u * v])

@@ -81,7 +81,7 @@ class Environment:
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
     def force(self, t_s: ArrayLike) -> Matrix:
-        """b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
+        """Return b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
         if self.ramp_s > 0:
@@ -91,8 +91,10 @@ class Environment:
         return b
 
     def drawn(self, steps: int, sample_s: float, substeps: int) -> Drawn:
-        """What of the stage table is summed up from harmonics, which takes most of its time: wind
-        speed and wave height, (steps, 2·substeps + 1) each; nothing of weather without them."""
+        """Sum up the harmonics of the stage table, which takes most of its time.
+
+        Wind speed and wave height, (steps, 2·substeps + 1) each; nothing of weather without them.
+        """
         start, offset = _stages(steps, sample_s, substeps)
         drawn: Drawn = {}
         if self.wind is not None:
@@ -104,7 +106,7 @@ class Environment:
     def stage_table(
         self, steps: int, sample_s: float, substeps: int, drawn: Drawn | None = None
     ) -> Matrix:
-        """The weather at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3 or 9).
+        """Tabulate the weather at Runge-Kutta 4 stages: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
         entry the end of the sample. The columns are those of `layout`: b, and where wind, current
@@ -134,7 +136,7 @@ class Environment:
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
-        """What the plant needs of the hull to feel wind and drift: (6,), zero where there is none.
+        """Return the hull's coefficients of wind and drift: (6,), zero where there is none.
 
         Returns
         -------
@@ -174,7 +176,7 @@ class Environment:
 
 
 def _stages(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
-    """The times of samples (steps,), and those of stages from them on (2·substeps + 1,)."""
+    """Return the times of samples (steps,), and of stages from them on (2·substeps + 1,)."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 

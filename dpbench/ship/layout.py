@@ -1,4 +1,4 @@
-"""Where what stands in the ship's arrays; every room that indexes one takes the names from here.
+"""Positions in the ship's arrays; every package that indexes one takes the names from here.
 
     state (6,)         u    v    r  │  n    e    ψ         VELOCITY │ POSE
     wave motion (6,)   n    e    ψ  │  ṅ    ė    ψ̇         first-order motion of the pose, its rate
@@ -9,7 +9,7 @@
     load coefficients  wind on u, v, r │ drift on u, v, r
 
 Numbers and not an enum: numba compiles a kernel with the value of a global number. Its cache on
-disk does not see them change: after a change here, remove the `__pycache__` folders of this room.
+disk does not see them change: after a change here, remove the `__pycache__` folders of `ship`.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from dpbench.ship.layout import (
 
 @njit(cache=True)
 def _sense(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
-    """The measurement (6,) into measured, of state (6,), motion (6,) in NED and noise (3,)."""
+    """Write the measurement (6,) of state (6,), motion (6,) in NED and noise (3,)."""
     c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
     measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
     measured[V] = state[V] - s * motion[RATE_NORTH] + c * motion[RATE_EAST]

@@ -27,7 +27,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
@@ -65,7 +65,7 @@ SUBSTEPS = 10
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def _towards(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled by numba
-    """s + h k into mid; all (6,)."""
+    """Write s + h k into mid; all (6,)."""
     for j in range(STATE):
         mid[j] = s[j] + h * k[j]
 
@@ -103,7 +103,10 @@ def _plain(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compi
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def _loaded(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """The same in wind, current and drift: b (9,) of the stage table, loads (6,) of the hull."""
+    """Write the state derivative in wind, current and drift into `out`.
+
+    b (9,) of the stage table, loads (6,) of the hull.
+    """
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     air_u = c * b[AIR_NORTH] + sn * b[AIR_EAST] - s[U]
     air_v = c * b[AIR_EAST] - sn * b[AIR_NORTH] - s[V]
@@ -141,7 +144,7 @@ def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def advance_loaded(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled by numba
-    """The same with b (2·substeps + 1, 9) and the hull's loads (6,)."""
+    """Advance the state in weather: b (2·substeps + 1, 9) and the hull's loads (6,)."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for weather that moves with the ship")
     mid = work[STAGES]
@@ -179,7 +182,7 @@ class Plant:
         substeps: int = SUBSTEPS,
         *,
         loads: Vector | None = None,
-        actuators: Actuators | SteeredThrusters | None = None,
+        actuators: Actuators | CommandedThrusters | None = None,
     ) -> None:
         self.state: Vector = np.array(state, dtype=np.float64)
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(vessel.M))

@@ -22,5 +22,5 @@ class SensorNoise:
     std: Vector
 
     def table(self, samples: int, seed: int) -> Matrix:
-        """(samples, 3) [m, m, rad]; a longer table begins with the shorter one."""
+        """Draw the noise (samples, 3) [m, m, rad]; a longer table begins with the shorter one."""
         return np.asarray(self.std * stream(seed, "noise").standard_normal((samples, 3)))

@@ -154,7 +154,7 @@ class ThrusterSet:
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
     def per_entry(self, values: Sequence[float] | Vector) -> Vector:
-        """A value a thruster (p,) as one an entry of f (n_f,)."""
+        """Repeat one value per thruster (p,) for each of its entries of f (n_f,)."""
         return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])
 
     @cached_property
@@ -173,7 +173,7 @@ class ThrusterSet:
         return np.stack(sizes, axis=-1)
 
     def support(self, direction: Vector) -> float:
-        """The largest τ·d over all f within their limits, for d (3,): the support function.
+        """Return the largest τ·d over all f within their limits, for d (3,): the support function.
 
         An azimuth all round gives T |column·d|; in a sector, the best of its ends, its middle part
         and nothing.
@@ -203,7 +203,7 @@ class ThrusterSet:
         return {name: tuple(numbers) for name, numbers in members.items()}
 
     def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
-        """The numbers of thrusters, or of whole failure groups, by name.
+        """Return the numbers of thrusters, or of whole failure groups, by name.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class ThrusterSet:
 
 
 def _most(thruster: Thruster, slope: Vector) -> float:
-    """The largest slope·f_i within the limits of one thruster; slope (components,)."""
+    """Return the largest slope·f_i within the limits of one thruster; slope (components,)."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N
         return float(max(slope[0] * low, slope[0] * high))

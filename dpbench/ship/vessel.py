@@ -91,7 +91,7 @@ class Vessel:
         return np.stack([self.tau_min, self.tau_max]) / np.diag(self.M)
 
     def with_mismatch(self, mass_percent: float = 0.0, damping_percent: float = 0.0) -> Vessel:
-        """The ship with M and D changed by per cent, as the plant behind an unchanged model."""
+        """Return the ship with M and D changed by per cent, the plant of an unchanged model."""
         mass, damping = 1.0 + mass_percent / 100.0, 1.0 + damping_percent / 100.0
         return replace(self, M=mass * self.M, D=damping * self.D)
 

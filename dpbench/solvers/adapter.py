@@ -59,7 +59,7 @@ NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not 
 
 
 def found_is_all(answer: Any, options: Options) -> Claim:
-    """The `read_status` of a library of which qpsolvers passes on `found` and nothing else."""
+    """Read the status of a library of which qpsolvers passes on `found` and nothing else."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
@@ -94,7 +94,7 @@ def told(
 
 
 def with_setup(tell: Tell) -> ReadStatus:
-    """The `read_status` of a library that tells so: its run time counts its set-up."""
+    """Make the `read_status` of a library that tells so: its run time counts its set-up."""
 
     def read_status(answer: Any, options: Options) -> Claim:
         info = answer.extras["info"]
@@ -139,7 +139,7 @@ class QpsolversAdapter:
         return self.qpsolvers_name or self.record.name
 
     def natively(self, workspace: Opened) -> NativeAdapter:
-        """The same library through its own interface, with the same settings."""
+        """Return the adapter of the library's own interface, with the same settings."""
         return NativeAdapter(self.record, workspace, self.option_names, self.settings_object)
 
     def claimed_status(self, answer: Any, options: Options) -> Claim:
@@ -154,13 +154,13 @@ class QpsolversAdapter:
 
 
 def attributes(settings: Any) -> list[str]:
-    """The names of the settings of an object that keeps them as attributes."""
+    """List the settings of an object that keeps them as attributes."""
     names = (name for name in dir(settings) if not name.startswith("_"))
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 
 
 def made_by(module: str, name: str) -> Callable[[], Any]:
-    """The `settings_object` of a library whose `name` makes one, imported when it is asked for."""
+    """Make the `settings_object` of a library whose `name` makes one, imported when called."""
 
     def settings_object() -> Any:
         return getattr(import_module(module), name)()
@@ -171,7 +171,7 @@ def made_by(module: str, name: str) -> Callable[[], Any]:
 def adapters_in(
     package: str, besides: Iterable[str]
 ) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
-    """The adapters that the modules of a package hold, by the name of their solver.
+    """Find the adapters that the modules of a package hold, by the name of their solver.
 
     Parameters
     ----------

@@ -25,8 +25,8 @@ NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
 """What each that waits does so for [ns]."""
 
-# Waiting is the only work on this floor that takes a clock. Where there is one that nobody
-# disciplines, it is another than the harness's own, so that one checks the other.
+# Waiting is the only work in `solvers` that reads a clock. The raw clock, where there is one, is
+# another than the harness's own, so that one checks the other.
 _steady_ns: Callable[[], int] = (
     partial(time.clock_gettime_ns, time.CLOCK_MONOTONIC_RAW)
     if hasattr(time, "CLOCK_MONOTONIC_RAW")
@@ -82,7 +82,7 @@ class NoOp(Workspace):
         """Nothing."""
 
     def read(self) -> Solution:
-        """The stored object: unlike a solver's, not in memory of its own."""
+        """Return the stored object: unlike a solver's, not in memory of its own."""
         if self._answer is None:
             raise not_set_up("read")
         return self._answer
@@ -129,14 +129,14 @@ class CopyOnly(Workspace):
         """Nothing."""
 
     def read(self) -> Solution:
-        """Copies of an answer that is none."""
+        """Copy an answer that is none."""
         if self._size is None:
             raise not_set_up("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
 def open_calibration(name: str) -> Workspace:
-    """The workspace of one of `CALIBRATION`."""
+    """Open the workspace of one of `CALIBRATION`."""
     if name in WAITS_NS:
         return BusyWait(name, WAITS_NS[name])
     return NoOp(name) if name == NO_OP else CopyOnly(name)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from dpbench.arrays import Vector
-from dpbench.errors import DpbenchError, InputError, ShapeError
+from dpbench.errors import DpbenchError, ShapeError, SituationError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 
@@ -67,15 +67,16 @@ class Workspace(ABC):
 
     @abstractmethod
     def read(self) -> Solution:
-        """The answer, in memory of its own."""
+        """Return the answer, in memory of its own."""
 
     def another(self) -> Workspace:
-        """A workspace of the same kind for other QPs, not yet set up; InputError if none is known.
+        """Open a workspace of the same kind, not yet set up; InputError if none is known.
 
         A cascade solves two QPs at each sample, each in a workspace of its own.
         """
         if self.opened_again is None:
-            raise InputError(f"solver {self.solver}", "workspace", "one", "two by open_workspace")
+            sentence = "a cascade needs two workspaces; open this one by open_workspace"
+            raise SituationError(f"solver {self.solver}", sentence)
         return self.opened_again()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
@@ -96,7 +97,9 @@ def check_step(step: QPStep, n: int, m: int) -> None:
 
 
 def words_of(error: BaseException) -> str:
-    """What a library raised, in words; a person's interrupt is no failure and is raised again.
+    """Describe what a library raised.
+
+    A person's interrupt is no failure and is raised again.
 
     It takes whatever was raised: a panic of Rust is no `Exception`.
     """
@@ -106,12 +109,12 @@ def words_of(error: BaseException) -> str:
 
 
 def not_set_up(call: str) -> DpbenchError:
-    """What is raised when a workspace is used before its set-up."""
+    """Return the error of a workspace that is used before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 
 
 def shift_into(target: Vector, kept: Vector, block: int) -> None:
-    """target = kept, one block earlier; the last block is zero."""
+    """Write `kept` one block earlier into `target`; the last block is zero."""
     if block == 0:
         target[:] = kept
     elif target.size:

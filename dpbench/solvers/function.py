@@ -50,7 +50,7 @@ class FunctionWorkspace(Workspace):
             self._solution = self._missing(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
-        """The function's answer, copied."""
+        """Return the function's answer, copied."""
         answer = self._solution
         if answer is None:
             return self._missing("read before solve")
@@ -70,7 +70,7 @@ class FunctionWorkspace(Workspace):
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """The `open` of a plug-in that is a function."""
+    """Make the `open` of a plug-in that is a function."""
 
     def open_function(policy: Policy, options: Options) -> Workspace:
         return FunctionWorkspace(name, policy, solve, options)

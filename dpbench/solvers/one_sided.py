@@ -54,11 +54,11 @@ class Sides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """The inequality and the equality rows of this block of rows M."""
+        """Return the inequality and the equality rows of this block of rows M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
     def split(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """The inverse: two-sided multipliers y as those of inequality and of equality rows."""
+        """Split two-sided multipliers y into those of inequality and of equality rows."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
@@ -121,7 +121,7 @@ class OneSidedForm:
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
+        """Return y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
         assert self._box is not None, "bounds have to be rows"
         rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
         return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
@@ -135,7 +135,10 @@ class OneSidedForm:
             self._box.split(y_box, z[self._rows :], equal[self._equalities :])
 
     def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
-        """y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`, None if absent."""
+        """Return y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`.
+
+        None if they are absent.
+        """
         z = _vector(z, 0 if self.h is None else self.h.size)
         y = _vector(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:

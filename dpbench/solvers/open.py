@@ -1,15 +1,15 @@
-"""Opening a workspace: the one door through which a solver is asked for by name."""
+"""Open a workspace by the name of its solver; nothing else does."""
 
 from __future__ import annotations
 
 import warnings
 from functools import partial
 
-from dpbench.errors import PolicyError, SolverUnavailableError
+from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
 from dpbench.solvers.settings import resolve
-from dpbench.solvers.table import available, native_adapter, qpsolvers_adapter, record
+from dpbench.solvers.table import check_available, native_adapter, qpsolvers_adapter, record
 
 
 def open_workspace(
@@ -20,7 +20,7 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """A workspace of `solver`, not yet set up.
+    """Open a workspace of `solver`, not yet set up.
 
     Parameters
     ----------
@@ -54,11 +54,9 @@ def _opened(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """A workspace of a route and policy that the solver has."""
+    """Open a workspace of a route and policy that the solver has."""
     solver = row.name
-    here = available(solver)
-    if not here.ok:
-        raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
+    check_available(solver)
     limited = row.time_limit and step_limit_s is not None
     limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":

@@ -94,7 +94,7 @@ def solver_record(
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """The record of a plug-in.
+    """Make the record of a plug-in.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def try_file(path: str | Path) -> None:
 
 
 def _how_it_ended(code: int) -> str:
-    """The end of a process that did not come to its last line, in words."""
+    """Describe the end of a process that did not come to its last line."""
     if code >= 0:
         return f"an end of its process, exit code {code}"
     return f"an end of its process, {signal.Signals(-code).name}"
@@ -177,7 +177,10 @@ def run_quietly(where: str, file: str) -> None:
 
 
 def _plugin_file(path: str | Path) -> tuple[str, Path]:
-    """What an error calls a plug-in's file, and its full path; InputError where there is none."""
+    """Return what an error calls a plug-in's file, and its full path.
+
+    InputError where there is none.
+    """
     where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
         raise InputError(where, "", "no such file", "a Python file with RECORD and open")
@@ -185,7 +188,7 @@ def _plugin_file(path: str | Path) -> tuple[str, Path]:
 
 
 def _run_file(where: str, file: Path) -> ModuleType:
-    """The module that a file makes when it is run; InputError for whatever it raises."""
+    """Run a file and return its module; InputError for whatever it raises."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -203,13 +206,13 @@ def _run_file(where: str, file: Path) -> ModuleType:
 
 
 def _raised(error: BaseException) -> str:
-    """What was raised, on one line."""
+    """Return what was raised, on one line."""
     text = " ".join(str(error).split())[:300]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def entry_point_names() -> tuple[str, ...]:
-    """The solvers that installed distributions bring, not yet loaded."""
+    """List the solvers that installed distributions bring, not yet loaded."""
     return tuple(sorted(_entry_points()))
 
 
@@ -220,7 +223,7 @@ def _entry_points() -> dict[str, metadata.EntryPoint]:
 
 
 def find_plugin(name: str) -> Plugin | None:
-    """The plug-in of that name, loading its entry point if need be; None if there is none.
+    """Find the plug-in of that name, loading its entry point if need be; None if there is none.
 
     Raises
     ------
@@ -246,7 +249,7 @@ def find_plugin(name: str) -> Plugin | None:
 
 
 def loaded_names() -> tuple[str, ...]:
-    """The plug-ins loaded in this process."""
+    """List the plug-ins loaded in this process."""
     return tuple(sorted(_LOADED))
 
 

@@ -49,13 +49,14 @@ NAN_FAULTS = {
     **NAN_IGNORED,
 }
 
-DEFAULT, LOW, MID, HIGH = LEVELS = ("default", "low", "mid", "high")
-"""The tolerance levels: the library's own choice, then 1e-3, 1e-6 and 1e-9."""
-TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}
+DEFAULT, MID, HIGH = "default", "mid", "high"
+TOLERANCES = {"low": 1e-3, MID: 1e-6, HIGH: 1e-9}
+LEVELS = (DEFAULT, *TOLERANCES)
+"""The tolerance levels: the library's own choice, then those of `TOLERANCES`."""
 
 
 def by_tolerance(*criteria: str, always: Options | None = None, **beside: object) -> Levels:
-    """The levels of a solver: at `low`, `mid` and `high` its absolute criteria are the tolerance.
+    """Make the levels of a solver: at those of `TOLERANCES` its criteria are the tolerance.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
 
 
 def vectorised_build(module: str) -> Build:
-    """The build that an imported library chose; it is never less than the processor has.
+    """Read the build that an imported library chose; it is never less than the processor has.
 
     Parameters
     ----------
@@ -160,8 +161,10 @@ def stated(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """What a project states, each with the place; None where it does not, as far as is known here:
-    nothing is inferred."""
+    """Record what a project states, each with the place.
+
+    None where it does not, as far as is known here: nothing is inferred.
+    """
     facts = (licence, language, c_code, allocation_free, single_precision)
     return Project(*(Fact(*(fact or UNSTATED)) for fact in facts), c_settings=c_settings)
 
@@ -254,9 +257,11 @@ class SolverRecord:
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
-    def why_not_aboard(self) -> str:
-        """Why it cannot be deployed on a ship as it is; "" where it can: a project's own compiled
-        code, whose language its documentation states."""
+    def deployment_blocker(self) -> str:
+        """Why it cannot be deployed on a ship as it is; "" where it can.
+
+        Deployable is a project's own compiled code, whose language its documentation states.
+        """
         language = self.project.language
         if self.extra == "own":
             return f"own code of this benchmark ({language.value})"
@@ -265,7 +270,7 @@ class SolverRecord:
         return f"written in {language.value}" if language.value.startswith("Python") else ""
 
     def on(self, route: Route) -> RouteRecord:
-        """What it can do on a route it has; KeyError on one it does not have."""
+        """Return what it can do on a route it has; KeyError on one it does not have."""
         return self.routes[route]
 
     def refusal(self, route: Route, policy: Policy) -> str:

@@ -6,11 +6,10 @@ record (`by_tolerance`); they mean the same on both routes.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dpbench.errors import SettingsError
+from dpbench.errors import SettingsError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
@@ -23,7 +22,7 @@ def settings_matter(solver: str) -> bool:
 
 
 def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
-    """The options that `settings` means for a library.
+    """Return the options that `settings` means for a library.
 
     Raises
     ------
@@ -44,12 +43,12 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """The names of settings of a solver: the tolerance levels and what it has beside them."""
+    """List the settings of a solver: the tolerance levels and what it has beside them."""
     return tuple(dict.fromkeys((*LEVELS, *record(solver).levels)))
 
 
 def tolerance_of(name: str) -> float | None:
-    """The tolerance that a name of settings such as "1e-4" states; None for other names."""
+    """Parse the tolerance of a setting such as "1e-4"; None for other names."""
     try:
         tolerance = float(name)
     except ValueError:
@@ -63,7 +62,9 @@ def has_setting(solver: str, name: str) -> bool:
 
 
 def _at_tolerance(solver: str, name: str) -> Options | None:
-    """The options of a stated tolerance, between the levels or beyond them; None where neither.
+    """Return the options of a stated tolerance, between the levels or beyond them.
+
+    None where neither.
 
     What is the tolerance itself at `low`, `mid` and `high` is this one here; the rest is as at
     `mid`. A solver without a tolerance to set has nothing to change.
@@ -81,7 +82,7 @@ def _at_tolerance(solver: str, name: str) -> Options | None:
 
 
 def level_options(name: str, solver: str) -> Options:
-    """What the setting of that name means for a solver; SettingsError if there is none."""
+    """Return the options of a setting by name for a solver; SettingsError if there is none."""
     names, stated = setting_names(solver), _at_tolerance(solver, name)
     if name not in names and stated is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
@@ -112,10 +113,8 @@ def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[s
     known = sorted(allowed)
     for key in _flat(settings):
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=5, cutoff=0.4) or known
-            raise SettingsError(
-                f"settings of {solver}", key, "an unknown key", ", ".join(near) or "no settings"
-            )
+            allowed = one_of(key, known) if known else "no settings"
+            raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
 
 
 def _flat(settings: Mapping[str, object]) -> Iterable[str]:

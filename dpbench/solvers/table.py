@@ -9,7 +9,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-from dpbench.errors import UnknownNameError, one_of
+from dpbench.errors import SolverUnavailableError, UnknownNameError, one_of
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.contract import words_of
@@ -25,12 +25,14 @@ from dpbench.solvers.plugins import (
 )
 from dpbench.solvers.record import UNREAD, Build, SolverRecord
 
+LISTING = "dpbench list solvers"
+"""The command that lists all solvers."""
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
     name: _ON_NATIVE[name].record if name in _ON_NATIVE else THROUGH_QPSOLVERS[name].record
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
-"""The solvers of this house and the libraries it has adapters for, in alphabetical order."""
+"""The own solvers and the libraries with an adapter, in alphabetical order."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def solver_names() -> tuple[str, ...]:
 
 
 def record(name: str) -> SolverRecord:
-    """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
+    """Look up a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
 
     The harness's own have a row too.
 
@@ -75,11 +77,11 @@ def record(name: str) -> SolverRecord:
         return plugin.record
     if is_served(name):
         return generic_adapter(name).record
-    raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names()))
+    raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names(), listing=LISTING))
 
 
 def native_adapter(name: str) -> NativeAdapter:
-    """The adapter of a solver that has route native, a plug-in's too; KeyError for another."""
+    """Return the adapter of a solver with route native, a plug-in's too; KeyError for another."""
     if name in CALIBRATION:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
@@ -89,7 +91,7 @@ def native_adapter(name: str) -> NativeAdapter:
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """The adapter of a solver on route qpsolvers."""
+    """Return the adapter of a solver on route qpsolvers."""
     return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
 
 
@@ -143,6 +145,14 @@ def available(name: str) -> Availability:
         reason = f"importing {row.module} failed: {words_of(error)}"
         return Availability(False, version, " ".join(reason.split()))
     return Availability(True, version, build=build)
+
+
+def check_available(name: str) -> None:
+    """Raise SolverUnavailableError where a solver cannot be used, with what installs it."""
+    here, remedy = available(name), record(name).remedy
+    if not here.ok:
+        advice = "" if remedy in here.reason else f"; {remedy}"
+        raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
 
 
 def _through_qpsolvers(name: str) -> Availability:

@@ -13,7 +13,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results, claimed
-from dpbench.bench.record.schema import RUN_COLUMNS, STEP_COLUMNS
+from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
 from dpbench.solvers import plugins
@@ -61,6 +61,19 @@ def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None
     """runs.parquet and steps.parquet carry the columns of the schema, in its order."""
     assert list(results.runs.columns) == list(RUN_COLUMNS)
     assert list(results.steps.columns) == list(STEP_COLUMNS)
+
+
+def test_sums_and_changes_of_steps_follow_from_other_columns(results: Results) -> None:
+    """Times are the sums of their phases; forces change from step to step; steps have times."""
+    steps = results.steps.merge(results.runs[["run_id", "mode", "sample_s"]], on="run_id")
+    phases = ["setup_ns", "update_ns", "solve_ns", "read_ns"]
+    timed = steps[steps[phases].notna().any(axis=1)]
+    assert len(timed) and (timed["total_ns"] == timed[phases].sum(axis=1)).all()
+    loops = steps[steps["mode"] == "closed_loop"]
+    for axis in AXIS_FORCES:
+        before = loops.groupby("run_id", observed=True)[f"tau_{axis}"].shift().fillna(0.0)
+        np.testing.assert_array_equal(loops[f"dtau_{axis}"], loops[f"tau_{axis}"] - before)
+    np.testing.assert_array_equal(loops["t_s"], loops["k"] * loops["sample_s"])
 
 
 def test_rows_tell_how_their_library_was_built(results: Results) -> None:

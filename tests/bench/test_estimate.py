@@ -11,6 +11,7 @@ from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, rates
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
 
@@ -39,7 +40,7 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 
 def test_what_does_not_run_takes_nothing() -> None:
     """Refused cells are counted apart, and so are those of which nothing is known."""
-    edge = {"mode": "replay", "scenario": {}, "source": {"kind": "capability", "name": "x"}}
+    edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
     found = estimated([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)

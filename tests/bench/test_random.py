@@ -17,10 +17,10 @@ from dpbench.bench.plan.cells import NOT_STRICT
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.qp_source import RandomSource
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.sequences.source import source_of
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
 
@@ -129,7 +129,7 @@ def test_random_rows_have_no_scenario_and_run_again_from_their_cell(results: Res
         cell = Cell.from_json(text)
         assert cell.to_json() == text
         assert cell.sequence == sequence
-        assert RandomRecipe.from_dict(cell.source["recipe"]).name == sequence
+        assert isinstance(cell.source, RandomSource) and cell.source.recipe.name == sequence
 
 
 def test_the_report_shows_who_lied(folder: Path) -> None:
@@ -207,4 +207,4 @@ def test_an_unknown_kind_of_source_is_refused() -> None:
     (planned, _) = plan(suite(random=[RandomTable(families=["plain"], sizes=[[4, 6]])]))
     text = planned.cell.to_json().replace('"kind": "random"', '"kind": "dice"')
     with pytest.raises(InputError, match="dice"):
-        source_of(Cell.from_json(text))
+        Cell.from_json(text)

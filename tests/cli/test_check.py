@@ -10,7 +10,7 @@ import pytest
 from qpsolvers import Problem
 
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.cli import check
+from dpbench.cli import check_ship
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_names, problem_path
 
@@ -38,7 +38,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(autouse=True)
 def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a tuning holds is asked of the loop in `test_check_ship`; here it is 1 m."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
 
 
 @pytest.mark.parametrize(

@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.design import find_bracket, held_in_still_water, is_held
-from dpbench.cli import check
+from dpbench.cli import check_ship
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 
 
 def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
     """Every tuning holds what is not beyond `offset_m`."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset, sides: offset <= offset_m)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset, sides: offset <= offset_m)
 
 
 def text_of(name: str) -> str:
     """What is said of a library vessel."""
-    return check.vessel_text(problem_path("vessels", name), load_vessel(name))
+    return check_ship.vessel_text(problem_path("vessels", name), load_vessel(name))
 
 
 @pytest.mark.parametrize("name", problem_names("vessels"))
@@ -43,7 +43,7 @@ def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
 ) -> None:
     """With its weather and its own tuning."""
     up_to(monkeypatch, 1.7)
-    lines = check.scenario_text(name, load_scenario(name)).splitlines()
+    lines = check_ship.scenario_text(name, load_scenario(name)).splitlines()
     assert len(lines) <= 12
     assert max(map(len, lines)) <= 80
 
@@ -86,13 +86,13 @@ def test_a_weather_that_is_too_much_is_named(
 ) -> None:
     """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
     up_to(monkeypatch, 1.0)
-    assert "weather: 11%, 79%, 14% of the limits\n" in check.scenario_text(
+    assert "weather: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
         "extreme", load_scenario("extreme")
     )
     text = problem_path("scenarios", "extreme").read_text(encoding="utf-8")
     path = tmp_path / "worse.toml"
     path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
-    assert "120%, 14% of the limits - it cannot hold" in check.scenario_text(
+    assert "120%, 14% of the limits - it cannot hold" in check_ship.scenario_text(
         path, load_scenario(path)
     )
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.cli import check
+from dpbench.cli import check_ship
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 
@@ -27,7 +27,7 @@ def test_check_says_what_a_file_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """`dpbench check` recognises vessels, scenarios and suites by their tables."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset_m, sides: False)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: False)
     assert main(["check", str(problem_path(kind, name))]) == 0
     assert said in capsys.readouterr().out
 

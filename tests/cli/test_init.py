@@ -184,7 +184,7 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ([*SHIP, "--yaw-moment", "9e6"], ["--yaw-moment", "9e+06", "kN·m"]),
         ([*SHIP, "--like", "ferry"], ["--like", "'ferry'", "supply_fs99"]),
         ([*SHIP, "--sea", "12"], ["--sea", "'12'", "1 to 9"]),
-        ([*SHIP, "--from-mss", "a.mat", "--from-csv", "b.csv"], ["--from-csv", "one of the two"]),
+        ([*SHIP, "--from-mss", "a.mat", "--from-csv", "b.csv"], ["--from-csv", "give one of them"]),
         ([*SHIP, "--from-mss", "no.mat"], ["no.mat", "no such file"]),
         (["init", "../my_ship", *SHIP[2:]], ["NAME", "'../my_ship'", "letters"]),
         (["init", "my_ship"], ["--length", "nothing"]),

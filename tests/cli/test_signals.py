@@ -73,7 +73,7 @@ def started(tmp_path: Path, place: Path) -> subprocess.Popen[str]:
 def _is_replaying(tmp_path: Path) -> bool:
     """Whether closed loops are finished, and the sequence of the replays is made."""
     cells = tmp_path / "out" / "cells"
-    return (cells / "open.cells").exists() and any(cells.glob("exact-*.npz"))
+    return any(cells.glob("part-*.parquet")) and any(cells.glob("exact-*.npz"))
 
 
 def _folders(process: subprocess.Popen[str]) -> list[Path]:

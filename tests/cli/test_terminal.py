@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from dpbench.cli import check, doctor
+from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
 from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
 from dpbench.report.table import Table
@@ -90,7 +90,7 @@ def test_what_a_command_says_fits(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Into a pipe. JSON is for scripts: a line each."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
     assert main(words) == 0
     said = capsys.readouterr()
     if "--json" not in words:

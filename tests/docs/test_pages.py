@@ -99,7 +99,7 @@ def test_keys_have_type_bounds_and_default() -> None:
     """A few rows as a reader sees them."""
     pages = toml_keys.pages()
     vessel, scenario, suite = (pages[f"reference/{kind}.md"] for kind in toml_keys.FILES)
-    assert "| `length_m` | number | > 0 | **required** | Length" in vessel
+    assert "| `length_m` | number | ≥ 0.001, ≤ 1e+06 | **required** | Length" in vessel
     assert "| `inertia` | 3 × 3 × number |" in vessel
     assert '| `gusts` | text | `norsok`, `harris`, `none` | `"norsok"` |' in scenario
     assert "## `[[environment.squalls]]`" in scenario

@@ -15,7 +15,7 @@ from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import kept
-from dpbench.bench.record.recorded_steps import StepsOnDisk, read_clock
+from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
 from dpbench.bench.sequences.qpsolvers_files import read_problem
 from dpbench.bench.sequences.recording import digest
@@ -45,7 +45,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "design.json": lambda path: load_designs(path.parent),
     CAPABILITY_FILE: lambda path: load_capability(path.parent),
     "runs.parquet": lambda path: load_results(path.parent),
-    "clock/runs.parquet": lambda path: read_clock(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),
 }
 """Who reads which file of others."""

@@ -15,7 +15,8 @@ from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.soft_limits import Penalty
 from dpbench.qp.program import QuadraticProgram, Refresh
-from dpbench.qp.referee.referee import Optimum, certify
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 
 LOST = np.array([1.0, 0.45, 0.6])

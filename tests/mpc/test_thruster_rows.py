@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.mpc.thruster_rows import Retreat, ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows, thruster_rows
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 T = 2e5
@@ -98,7 +98,7 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
-    least, most = Retreat(rows, du_max, row_max, N_c).limits(f, *rows.without(lost))
+    least, most = LimitRampDown(rows, du_max, row_max, N_c).limits(f, *rows.without(lost))
     before = f
     for i in range(N_c):
         now = f.copy()
@@ -134,7 +134,7 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
     low, high = left * gone_low, left * high
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
-    Retreat(rows, du_max, row_max, N_c, factor=factor).write(f, low, high, l, u)
+    LimitRampDown(rows, du_max, row_max, N_c, factor=factor).write(f, low, high, l, u)
     for i in range(N_c):
         for k in range(r):
             number = rows.thruster[k]

@@ -3,6 +3,7 @@ are called."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from fractions import Fraction
 
 import numpy as np
@@ -224,4 +225,4 @@ def test_names_tell_recipes_apart_and_recipes_survive_json() -> None:
         RandomRecipe("plain", 12, 30, 1, cond=1e4),
     ]
     assert len({variant.name for variant in variants}) == len(variants)
-    assert all(RandomRecipe.from_dict(variant.to_dict()) == variant for variant in variants)
+    assert all(RandomRecipe(**asdict(variant)) == variant for variant in variants)

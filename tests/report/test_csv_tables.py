@@ -10,12 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.run_steps import run_steps
+from dpbench.analysis.records.run_steps import counting_of, run_steps
 from dpbench.files.writing import write_together
 from dpbench.report.csv_tables import TABLES, tables_of
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.recommendation import Recommendation
+from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.table import Table
 from dpbench.report.write import write_report
@@ -43,7 +42,7 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
     """A row a configuration, with what contradicts it."""
-    verdicts = written.report.facts.verdicts.all
+    verdicts = written.report.data.verdicts.all
     table = _table(written.folder, "verdicts")
     assert len(table) == len(verdicts)
     for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
@@ -57,7 +56,7 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
         for name, attribute in times.items():
             ns = float(getattr(verdict, f"{attribute}_ns"))
             np.testing.assert_allclose(1e3 * float(row[f"{name}_us"]), ns, rtol=1e-12)
-        assert (row["why"] if isinstance(row["why"], str) else "") == Answer.why(verdict)
+        assert (row["why"] if isinstance(row["why"], str) else "") == Recommendation.why(verdict)
 
 
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
@@ -77,7 +76,7 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
 
 def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
     """States are those of the facts, run or not."""
-    facts = written.report.facts
+    facts = written.report.data
     table = _table(written.folder, "places")
     solvers, levels = len(facts.verdicts.of), len(facts.levels)
     assert len(table) == solvers * levels * len(facts.places)
@@ -91,7 +90,7 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
     report = Report.of(records.results())
-    tables = tables_of(report.results, report.facts, report.answer, [topic])
+    tables = tables_of(report.results, report.data, report.recommendation, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables
     assert topic.tables[0].page_rows == [list(row) for row in rows[:4]]

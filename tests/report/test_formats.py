@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from dpbench.analysis.records.run_record import as_float
 from dpbench.report.formats import (
     and_list,
+    as_float,
     count_text,
     error_text,
     share_text,

@@ -19,20 +19,21 @@ from dpbench.analysis.suites.study import studies
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Outcome as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
-from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
-from dpbench.cli.check import ship_lines
+from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.cli.check_ship import ship_lines
 from dpbench.cli.doctor import doctor_lines
-from dpbench.cli.listing import listing
+from dpbench.cli.list_problems import problem_list
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.tables import answers_table, solvers_table, times_table
-from dpbench.report.ending import BESIDE, TERMINAL_NOTES
 from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
+from dpbench.report.topics.consequence import row_of
 from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.thrusters.consequence import row_of
-from dpbench.report.topics.thrusters.thrusters import row_of as thruster_row
+from dpbench.report.topics.thrusters import row_of as thruster_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
@@ -65,7 +66,7 @@ PRINTED = {
     "tolerance levels": tuple(LEVELS),
     "formulations": {*get_args(FormulationName), *get_args(Formulation)},
     "units": get_args(Units),
-    "fallbacks": get_args(Fallback),
+    "fallbacks": tuple(FALLBACKS),
     "certificates": get_args(Kind),
     "statuses": [status.name.lower() for status in Status],
     "verdicts": get_args(Verdict),
@@ -131,7 +132,7 @@ def test_every_head_of_a_list_is_explained(kind: str) -> None:
     """The first line of it, as it is printed."""
     screen = Console(width=80)
     with screen.capture() as printed:
-        screen.print(listing(kind))
+        screen.print(problem_list(kind))
     heads = {head.strip() for head in printed.get().splitlines()[0].split("┃")}
     assert "name" in heads
     assert heads <= _spoken()

@@ -15,8 +15,8 @@ from jinja2.defaults import DEFAULT_FILTERS
 import dpbench.report
 from dpbench.report.words import FILTERS, filled
 
-ROOM = Path(dpbench.report.__file__).parent
-FILES = sorted(file for file in ROOM.rglob("*.toml") if file.with_suffix(".py").exists())
+REPORT = Path(dpbench.report.__file__).parent
+FILES = sorted(file for file in REPORT.rglob("*.toml") if file.with_suffix(".py").exists())
 
 
 def _texts(found: Any) -> Iterator[str]:

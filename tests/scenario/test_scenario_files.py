@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -88,30 +89,30 @@ BAD_SCENARIOS = {
         "[start]\nyaw_dps = 0.5\n[controller]",
         "start.yaw_dps",
         "unknown key",
-        "yaw_degps?",
+        "yaw_degps",
     ),
     "misspelled key": (
         "ramp_s = 60.0",
         "ramps_s = 60.0",
         "environment.ramps_s",
         "unknown key",
-        "ramp_s?",
+        "ramp_s",
     ),
     "misspelled required key": (
         "prediction_horizon",
         "predicton_horizon",
         "controller.predicton_horizon",
         "unknown key",
-        "prediction_horizon?",
+        "prediction_horizon",
     ),
-    "unknown table": ("[controller]", "[wind]\n[controller]", "wind", "unknown key", "environment"),
+    "unknown table": ("[controller]", "[wind]\n[controller]", "wind", "unknown key", "… 9 more"),
     "missing key": ("sample_s = 0.3\n", "", "sample_s", "nothing", "required"),
     "missing table": (
         "[environment]",
         "[controller.environment]",
         "controller.environment",
         "unknown key",
-        "output_weight",
+        "… 12 more",
     ),
     "wrong length": (
         "mean_kN = [-20.0, 55.0, 500.0]",
@@ -206,7 +207,7 @@ def test_a_mistake_in_a_scenario_file_is_told_in_one_line(
 
 BAD_VESSELS = {
     "unknown key": ("[limits]", "beam_m = 18.0\n[limits]", "beam_m", "unknown key", "length_m"),
-    "misspelled table": ("[limits]", "[limit]", "limit", "unknown key", "limits?"),
+    "misspelled table": ("[limits]", "[limit]", "limit", "unknown key", "limits"),
     "not three by three": (
         "[0.0, 0.0, 3.7454e9]]",
         "[0.0, 0.0, 3.7454e9], [1.0, 1.0, 1.0]]",
@@ -260,7 +261,7 @@ BAD_VESSELS = {
         "mass_kg",
         "either inertia and damping",
     ),
-    "length of zero": ("length_m = 76.2", "length_m = 0.0", "length_m", "0.0", "greater than 0"),
+    "length of zero": ("length_m = 76.2", "length_m = 1e-320", "length_m", "1e-320", "0.001"),
 }
 
 
@@ -292,16 +293,17 @@ def told_in_one_line(error: InputError, path: Path, key: str, found: str, allowe
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("papr", "paper"), ("Rough", "rough"), ("zzz", "calm"), ("", "calm")]
+    ("name", "hint"), [("papr", "paper, "), ("Rough", "rough, "), ("zzz", ""), ("", "")]
 )
-def test_an_unknown_scenario_name_lists_the_known_ones(name: str, hint: str) -> None:
-    """A name that does not exist is answered with the nearest ones and with all of them."""
+def test_an_unknown_scenario_name_lists_the_nearest(name: str, hint: str) -> None:
+    """A name that does not exist is answered with the nearest three and how to list the rest."""
     with pytest.raises(UnknownNameError) as caught:
         load_scenario(name)
     assert repr(name) in str(caught.value)
-    assert hint in caught.value.allowed
-    for known in problem_names("scenarios"):
-        assert known in caught.value.allowed
+    assert caught.value.allowed.startswith(hint)
+    known = problem_names("scenarios")
+    assert sum(word in known for word in re.split("[ ,]+", caught.value.allowed)) == 3
+    assert f"… {len(known) - 3} more: `dpbench list scenarios`" in caught.value.allowed
 
 
 def test_an_unknown_vessel_in_a_scenario_lists_the_known_ones(

@@ -8,7 +8,6 @@ import random
 import re
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -176,14 +175,16 @@ def _other_array(member: bytes, rng: random.Random) -> bytes:
     return packed.getvalue()
 
 
-def of_journal(data: bytes, rng: random.Random) -> bytes:
-    """Bytes of a journal of cells; or those of its first record, under a right check sum."""
+def of_part(data: bytes, rng: random.Random) -> bytes:
+    """Bytes of a part of cells, or values of its rows."""
     if rng.random() < 0.5:
         return of_bytes(data, rng)
-    head = struct.Struct("<4sQI")
-    mark, length, _ = head.unpack_from(data)
-    record = of_bytes(data[head.size : head.size + length], rng)
-    return head.pack(mark, len(record), zlib.crc32(record)) + record
+    table = pq.read_table(io.BytesIO(data), use_threads=False)
+    metadata = pq.read_metadata(io.BytesIO(data)).metadata
+    packed = io.BytesIO()
+    rows = of_json(metadata[b"runs"], rng).decode("utf-8", errors="replace")
+    pq.write_table(table.replace_schema_metadata({"runs": rows}), packed, compression="zstd")
+    return packed.getvalue()
 
 
 def of_table(data: bytes, rng: random.Random) -> bytes:

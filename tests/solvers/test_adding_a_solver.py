@@ -21,7 +21,7 @@ HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
     r"^- \*\*a solver\*\*:(.*?)^- ", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
 )
-(ROOM,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
+(LIBRARIES,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
 NEWCOMERS = ("newcomer", "newcomer_wrapped")
 
 
@@ -34,8 +34,8 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     passing = shutil.ignore_patterns("*.pyc*", "*.tmp*")
     shutil.copytree(ROOT / "dpbench", root / "dpbench", ignore=passing)
     shutil.copytree(HERE, root / "tests", ignore=passing)
-    shutil.copy(HERE / "example_native.py", root / ROOM / "newcomer.py")
-    shutil.copy(HERE / "example_wrapped.py", root / ROOM / "newcomer_wrapped.py")
+    shutil.copy(HERE / "example_native.py", root / LIBRARIES / "newcomer.py")
+    shutil.copy(HERE / "example_wrapped.py", root / LIBRARIES / "newcomer_wrapped.py")
     return root
 
 
@@ -63,7 +63,7 @@ for name in {NEWCOMERS}:
     told[name] = dict(
         routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
-        c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
+        c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
 told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))

@@ -104,7 +104,7 @@ INFEASIBLE = problem(TWO, [-2, -6], [[1, 1]], [3], [4], [-1, -1], [1, 1])
 
 
 def kkt_residual(qp, s):
-    """Stationarity, feasibility and complementarity with the signs of the house."""
+    """Stationarity, feasibility and complementarity with the signs of `Solution`."""
     worst = [np.abs(qp.P @ s.z + qp.q + qp.A.T @ s.y + s.y_box).max()]
     for w, low, high, y in ((qp.A @ s.z, qp.l, qp.u, s.y), (s.z, qp.lb, qp.ub, s.y_box)):
         worst += [(w - high).max(initial=0.0), (low - w).max(initial=0.0)]

@@ -87,7 +87,7 @@ class Evidence:
     df: Floats
 
 
-def gather(
+def remove_machine_factor(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
@@ -95,7 +95,7 @@ def gather(
     kernel: Floats | None = None,
     own_share: float = 1.0,
 ) -> Evidence:
-    """The evidence on each of N log ratios.
+    """Divide out each group's common machine factor; estimate the log ratios left and their errors.
 
     Parameters
     ----------
@@ -128,14 +128,14 @@ def gather(
     return Evidence(logs - centre, centre, error, df)
 
 
-def gather_against(
+def remove_reference_factor(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
     reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
-    """As `gather`, each ratio held against that of a reference solver in the same group.
+    """Divide each ratio by that of a reference solver in its group; estimate errors as above.
 
     Parameters
     ----------

@@ -13,8 +13,6 @@ from dpbench.errors import ResultsError
 
 KEY = ("mode", "scenario", "sequence", *COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
-PROBLEM = ("scenario", "source", "first", "fallback", "backup")
-"""Parts of a cell's description that they share too."""
 LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 
 
@@ -99,6 +97,6 @@ def _name(run: RunRecord) -> str:
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def problem_of(run: RunRecord) -> dict[str, Any]:
-    """What the cell was asked, as far as its description says."""
-    return {part: run.description.get(part) for part in PROBLEM}
+def problem_of(run: RunRecord) -> tuple[object, ...]:
+    """Return what else cells of the same question share, as far as their descriptions tell."""
+    return run.files, run.source, run.first, run.fallback, run.backup

@@ -129,8 +129,8 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
         folders have a cell in common.
     """
     machines = {records.machine["id"] for records in folders.values()}
-    solver = _reference(folders, reference) if reference or len(machines) > 1 else ""
-    cells = _cells(folders)
+    solver = _choose_reference_solver(folders, reference) if reference or len(machines) > 1 else ""
+    cells = _runs_by_cell(folders)
     common = {key: runs for key, runs in cells.items() if len(runs) > 1}
     if not common:
         allowed = "folders of the same suite"
@@ -143,8 +143,8 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
 
-def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
-    """Every cell with the folders that have it; the harness's own and lost ones are none."""
+def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
+    """Group runs by cell and folder: none of the baseline law, delayed, lost or refused."""
     cells: dict[str, dict[str, RunRecord]] = {}
     for name, records in folders.items():
         for run in records.all_runs:
@@ -154,7 +154,8 @@ def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
     return cells
 
 
-def _reference(folders: Mapping[str, Records], asked: str | None) -> str:
+def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
+    """Return the solver whose p50 the times of each folder are divided by."""
     timed = [{run.solver for run in _timed(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]

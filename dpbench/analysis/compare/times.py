@@ -18,8 +18,8 @@ from dpbench.analysis.compare.evidence import (
     Assessment,
     Evidence,
     assess,
-    gather,
-    gather_against,
+    remove_machine_factor,
+    remove_reference_factor,
 )
 from dpbench.analysis.compare.pairs import Pair, key_of
 from dpbench.analysis.records.grouping import firsts, grouped
@@ -209,7 +209,7 @@ def compare_to_reference(
     """
     groups = [t.problem for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
-    evidence = gather_against(logs, own, groups, rows, JACKKNIFE_SHARE)
+    evidence = remove_reference_factor(logs, own, groups, rows, JACKKNIFE_SHARE)
     judged = np.setdiff1d(np.arange(len(timings)), rows)
     family = Evidence(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
@@ -240,7 +240,7 @@ def compare_times(
     met = _load_met(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
-    configurations = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
+    configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
         (factors[name] - machine.expected, machine.error_of(configurations.error[labels == name]))

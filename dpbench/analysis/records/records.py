@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records import counting_rows, step_times
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.delays import Delays, delays_by_run
 from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.records.run_steps import RunSteps, run_steps
-from dpbench.analysis.records.step_times import StepTimes, times_by_run
+from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_of, run_steps
+from dpbench.analysis.records.step_times import (
+    DELAY_COLUMNS,
+    TIME_COLUMNS,
+    Delays,
+    StepTimes,
+    delays_by_run,
+    times_by_run,
+)
 from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON
 from dpbench.bench.record.recorded_steps import ALL, places_of
 from dpbench.bench.record.result_folder import Results
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -54,7 +58,7 @@ class Records:
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_group]
-        self.at_edge = [run for run in self.all_runs if run.at_edge_of]
+        self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
         self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
@@ -87,7 +91,7 @@ class Records:
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
         """Of some runs that left a counting row, in the order of the file: id, steps, and rows with
         the columns that are asked for."""
-        asked = tuple(dict.fromkeys([*counting_rows.COLUMNS, *columns]))
+        asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
             rows, places = table[list(columns)], places_of(table["run_id"])
             for run_id, steps in run_steps(counting_of(table)):
@@ -169,20 +173,20 @@ class Records:
 
     def _read_times(self, runs: Sequence[RunRecord]) -> None:
         self._times |= dict.fromkeys(run.run_id for run in runs)
-        for table in self.scan(runs, step_times.COLUMNS):
+        for table in self.scan(runs, TIME_COLUMNS):
             self._times |= dict(times_by_run(table))
 
     def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
         """Return the delays of runs by id, of those that left a counting row; read once."""
         unread = [run for run in runs if run.run_id not in self._delays]
-        for table in self.scan(unread, step_times.COLUMNS):
+        for table in self.scan(unread, DELAY_COLUMNS):
             self._delays |= dict(delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     @cached_property
-    def _carried(self) -> dict[str, dict[str, Any]]:
+    def _carried(self) -> dict[str, ScenarioDocuments]:
         """The first documents of each scenario that a run carries."""
-        carried: dict[str, dict[str, Any]] = {}
+        carried: dict[str, ScenarioDocuments] = {}
         for run in self.runs:
             if run.scenario not in carried and (files := run.scenario_files) is not None:
                 carried[run.scenario] = files

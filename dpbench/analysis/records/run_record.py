@@ -10,13 +10,24 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dpbench.bench.judge.memory_of_answers import is_remembered
-from dpbench.bench.record.cell import HARDEST, Formulation, Units
+from dpbench.bench.judge.answer_caching import is_remembered
+from dpbench.bench.record.cell import Formulation, Units
 from dpbench.bench.record.configuration import COMMON, Configuration
+from dpbench.bench.record.qp_source import (
+    CONTROLLER,
+    CapabilitySource,
+    ConsequenceSource,
+    HardestSource,
+    QPSource,
+    RandomSource,
+    RecordedSource,
+    source_from,
+)
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json
 from dpbench.scenario.horizons import Horizons
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
 
 Count = float
@@ -32,10 +43,9 @@ class RunRecord:
 
     Parameters
     ----------
-    description : what `cell` says, read.
-    family : of a random sequence; "" of every other run.
-    lost_group : the failure group whose loss its QPs are about; "" of every other run.
-    at_edge_of : the vessel at whose capability's edge its QPs are; "" of every other run.
+    files : the documents of its scenario; empty where the row carries none.
+    source : what its QPs are made from.
+    first, fallback, backup : as in its cell; "" where that has none.
     x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, which `Records` finds out.
     own_switches_a_step : involuntary switches a step that the configuration makes itself, which
@@ -98,6 +108,7 @@ class RunRecord:
     loop_tail_ratio: float
     # machine: `MACHINE_COLUMNS`
     replay_s: float
+    voluntary_switches: Count
     involuntary_switches: Count
     steal_s: float
     throttle_events: float
@@ -127,30 +138,14 @@ class RunRecord:
     exact_cost: float
     dev_position_max_m: float
 
-    description: dict[str, Any] = field(repr=False)
-    family: str = ""
-    lost_group: str = ""
-    at_edge_of: str = ""
+    files: ScenarioDocuments = field(default_factory=ScenarioDocuments, repr=False)
+    source: QPSource = field(default=CONTROLLER, repr=False)
+    first: int = 0
+    fallback: str = ""
+    backup: str = ""
     x: Mapping[str, Any] = field(default_factory=dict)
     default_route: bool = False
     own_switches_a_step: float = np.nan
-
-    @classmethod
-    def of(cls, columns: Mapping[str, Any], description: dict[str, Any]) -> RunRecord:
-        """The record of a row of `runs.parquet`: the columns that it has, read, and `cell`."""
-        source = description.get("source", {})
-        kind, recipe = source.get("kind"), source.get("recipe") or {}
-        family = str(recipe.get("family", "")) if kind == "random" else ""
-        group = str(source.get("group", "")) if kind == "consequence" else ""
-        vessel = str(source.get("vessel_name", "")) if kind == "capability" else ""
-        return cls(
-            **columns,
-            description=description,
-            family=family,
-            lost_group=group,
-            at_edge_of=vessel,
-            x=description.get("study", {}).get("x", {}),
-        )
 
     def without_times(self) -> RunRecord:
         """The same run as if nothing of it had been timed."""
@@ -170,25 +165,40 @@ class RunRecord:
     def has_topic(self) -> bool:
         """Whether a topic of its own is about it, and no verdict: its QPs steer no ship, or one of
         many in a study."""
-        return bool(self.family or self.lost_group or self.at_edge_of or self.study)
+        return bool(self.study) or not self.source.is_judged
 
     @property
-    def source(self) -> str:
-        """Where its QPs are from: the file of a stored sequence, a scenario, or else its name."""
-        return self.description.get("source", {}).get("path") or self.scenario or self.sequence
+    def family(self) -> str:
+        """The family of a random sequence; "" of every other run."""
+        return self.source.recipe.family if isinstance(self.source, RandomSource) else ""
+
+    @property
+    def lost_group(self) -> str:
+        """The failure group whose loss its QPs are about; "" of every other run."""
+        return self.source.group if isinstance(self.source, ConsequenceSource) else ""
+
+    @property
+    def is_at_boundary(self) -> bool:
+        """Whether its QPs are those at the capability boundary of a ship."""
+        return isinstance(self.source, CapabilitySource)
+
+    @property
+    def exported_by(self) -> str:
+        """What `dpbench export` makes its QPs from: a recorded file, a scenario, or its name."""
+        path = self.source.path if isinstance(self.source, RecordedSource) else ""
+        return path or self.scenario or self.sequence
 
     @property
     def first_step(self) -> int:
         """The step of its scenario that it begins with."""
         if self.window_of and not np.isnan(self.first_sample):
             return int(self.first_sample)
-        return int(self.description.get("first", 0))
+        return self.first
 
     @property
     def window_of(self) -> int:
         """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
-        source = self.description.get("source", {})
-        return int(source.get("of", 0)) if source.get("kind") == HARDEST else 0
+        return self.source.of if isinstance(self.source, HardestSource) else 0
 
     @property
     def problem(self) -> str:
@@ -208,10 +218,9 @@ class RunRecord:
         return name.removesuffix(horizons) + bracket + window
 
     @property
-    def scenario_files(self) -> dict[str, Any] | None:
+    def scenario_files(self) -> ScenarioDocuments | None:
         """The documents of its scenario; None where the row carries none."""
-        files = self.description.get("scenario") or {}
-        return files if "scenario" in files else None
+        return self.files if "scenario" in self.files else None
 
     @property
     def steers_thrusters(self) -> bool:
@@ -268,19 +277,6 @@ class _Files(_Table):
     scenario: _Scenario | None = None
 
 
-class _Recipe(_Table):
-    family: str
-
-
-class _Source(_Table):
-    kind: str = ""
-    path: str = ""
-    group: str = ""
-    vessel_name: str = ""
-    of: int = 0
-    recipe: _Recipe | None = None
-
-
 class _Study(_Table):
     x: dict[str, Any] = {}
 
@@ -289,9 +285,11 @@ class _Described(_Table):
     """What of the description of a cell is read here."""
 
     scenario: _Files | None = None
-    source: _Source = _Source()
+    source: dict[str, Any] = {}
     study: _Study = _Study()
     first: int = 0
+    fallback: str = ""
+    backup: str = ""
 
 
 def records_of(runs: pd.DataFrame) -> list[RunRecord]:
@@ -300,37 +298,50 @@ def records_of(runs: pd.DataFrame) -> list[RunRecord]:
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord.of(dict(zip(names, row, strict=True)), _described(str(cell), shared))
+        RunRecord(**dict(zip(names, row, strict=True)), **_described(str(cell), shared))
         for *row, cell in zip(*values, runs["cell"], strict=True)
     ]
 
 
 def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """What `cell` says. The runs of a campaign say nearly the same: a part that another run has too
-    is kept once, in `shared`."""
+    """What `cell` says, as fields of a record. The runs of a campaign say nearly the same: a part
+    that another run has too is kept once, in `shared`."""
     if not cell.startswith("{"):
         return {}
     try:
-        described: dict[str, Any] = parse_json(cell)
-        _Described.model_validate(described)
+        described = parse_json(cell)
+        read = _Described.model_validate(described)
     except ValueError as error:
-        first = error.errors()[0] if isinstance(error, ValidationError) else None
-        key = ".".join(["cell", *map(str, first["loc"])]) if first else "cell"
-        found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
-        raise ResultsError("runs.parquet", key, found, "the description of a cell") from error
-    for whole in (described, *(described.get("scenario") or {}).values()):
+        raise _damaged("cell", error) from error
+    files = described.get("scenario") or {}
+    for whole in files.values():
         if isinstance(whole, dict):
             for name, part in whole.items():
                 whole[name] = shared.setdefault(repr(part), part) if name != "scenario" else part
-    return described
+    key = f"source {read.source!r}"
+    if key not in shared:
+        try:
+            shared[key] = source_from(read.source)
+        except ValueError as error:
+            raise _damaged("cell.source", error) from error
+    return {
+        "files": files,
+        "source": shared[key],
+        "first": read.first,
+        "fallback": read.fallback,
+        "backup": read.backup,
+        "x": shared.setdefault(repr(read.study.x), read.study.x),
+    }
 
 
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
+def _damaged(key: str, error: ValueError) -> ResultsError:
+    """Return the error of a description that is no cell's."""
+    if isinstance(error, InputError):
+        return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
+    first = error.errors()[0] if isinstance(error, ValidationError) else None
+    key = ".".join([key, *map(str, first["loc"])]) if first else key
+    found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
+    return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
 def _floats(column: pd.Series[Any]) -> list[float]:

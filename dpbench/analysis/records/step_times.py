@@ -1,17 +1,17 @@
-"""Step times of one replayed configuration, out of its step rows."""
+"""Step times of a replay, and single timings that took much longer than their step does."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from dpbench.arrays import Floats, Ints
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.recorded_steps import places_of
 
-COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
+TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 """What `times_by_run` asks of a step table."""
 
 
@@ -35,12 +35,20 @@ class StepTimes:
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Those of every run of a table that left a counting row."""
+    for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
+        yield run_id, step_times_of(repeat, k, total_ns)
+
+
+def _counting_rows(
+    steps: pd.DataFrame, *times: str
+) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
+    """Run, round, step and some times [ns] of the rows (N,) of each run that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
+    columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
     for run_id, (first, end) in places_of(counting["run_id"]).items():
         own = slice(first, end)
-        yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
+        yield run_id, repeat[own], k[own], [column[own] for column in columns]
 
 
 def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
@@ -50,3 +58,102 @@ def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
     done = np.flatnonzero(np.isfinite(best))
     rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
     return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
+
+
+DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
+"""What `delays_by_run` asks of a step table."""
+DELAYED = 2.0
+"""A timing over this multiple of the fastest time of its step is a delay."""
+OWN_SHARE = 0.1
+"""Of a limit: a timing is late by the step's own doing if this much is, net of the base time and of
+the wait for the core. Refilling a cache after a wait takes a hundredth of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Delays:
+    """Delays of one run, over the rounds that count.
+
+    The base time of a timing is the fastest time of its step where the run has several rounds. A
+    run of one round, such as a closed loop, has the median over its steps as the base of all, and
+    every timing above it is a delay: of slow steps or of the machine.
+
+    Where the kernel shows how long a step waited for the core (`waited_ns`), a delay in which the
+    step itself did next to nothing more than usual is neither late nor a stall: another program
+    ran.
+
+    Parameters
+    ----------
+    samples : (R,) timings of each round.
+    base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
+    step_ns : median over the timings.
+    round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
+        base time; net_ns : (D,) its timing less the wait for the core, where that is known.
+    knows_waits : whether the wait of every timing is known.
+    """
+
+    samples: Ints
+    base_ns: Floats
+    step_ns: float
+    round: Ints
+    delay_ns: Floats
+    own_ns: Floats
+    net_ns: Floats
+    knows_waits: bool
+
+    def gross(self) -> Delays:
+        """Return the delays as if no wait were known."""
+        return replace(self, net_ns=self.delay_ns, knows_waits=False)
+
+    def count_late(self, limit_ns: float) -> Ints:
+        """Count the delays beyond a limit in each round (R,)."""
+        by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
+        return self._count((self.delay_ns > limit_ns) & by_itself)
+
+    def count_stalls(self, longer_than_ns: float) -> Ints:
+        """Count the delays that exceed their base time by more than a duration, by round (R,).
+
+        The duration is half a limit.
+        """
+        excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+        of_limit = OWN_SHARE * 2.0 * longer_than_ns
+        return self._count((excess_ns > longer_than_ns) & (net_ns > of_limit))
+
+    def _count(self, chosen: Flags) -> Ints:
+        return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
+
+
+def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
+    """Yield the delays of every run of a step table that left a counting row."""
+    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
+        yield run_id, delays_of(repeat, k, total_ns, waited_ns)
+
+
+def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+    """Delays of the rows (N,) of one run that count: their round, step, time and wait [ns].
+
+    Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
+    """
+    timed = ~np.isnan(total_ns)
+    repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
+    knows_waits = not np.isnan(waited_ns).any()
+    net_ns = total_ns - waited_ns if knows_waits else total_ns
+    rounds, index = np.unique(repeat, return_inverse=True)
+    middle = float(np.median(total_ns)) if len(total_ns) else np.nan
+    if len(rounds) > 1:
+        fastest = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(fastest, k, total_ns)
+        base = fastest[k]
+        delayed = total_ns > DELAYED * base
+    else:
+        base = np.full(len(total_ns), middle)
+        delayed = total_ns > base
+    return Delays(
+        samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
+        base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
+        step_ns=middle,
+        round=index[delayed].astype(np.int64),
+        delay_ns=total_ns[delayed],
+        own_ns=base[delayed],
+        net_ns=net_ns[delayed],
+        knows_waits=knows_waits,
+    )

@@ -40,7 +40,7 @@ class WorstStep:
         """The command that writes this step alone, with its certified optimum."""
         run = self.run
         k = self.k + run.first_step
-        return f"dpbench export {run.source} --at {k} --out worst-{self.measure}.npz"
+        return f"dpbench export {run.exported_by} --at {k} --out worst-{self.measure}.npz"
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:

@@ -10,8 +10,9 @@ import pandas as pd
 from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, claims_of
+from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
+from dpbench.bench.record.qp_source import CapabilitySource
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,13 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
         answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
-        source = runs[0].description["source"] if runs else {}
         own = known.get(name)
-        vessel = str(source["vessel_name"] if own is None else own["vessel"].iloc[0])
-        sides = int(source["sides"] if own is None else own["sides"].iloc[0])
+        if own is not None:
+            vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
+        else:
+            source = runs[0].source
+            assert isinstance(source, CapabilitySource), "runs at the boundary"
+            vessel, sides = source.vessel_name, source.sides
         edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
         plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
     return plots
@@ -113,16 +117,16 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
 
 def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
     """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
-    liars: dict[int, set[str]] = {}
+    false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
-        claims = claims_of(steps)
+        claims = classify_steps(steps)
         for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
-            liars.setdefault(int(k), set()).add(run.solver)
+            false_claimants.setdefault(int(k), set()).add(run.solver)
     rows = []
     for (case, from_deg), of_direction in points.groupby(["case", "from_deg"], sort=False):
         first = of_direction.iloc[0]
-        said = set().union(*(liars.get(int(k), set()) for k in of_direction["k"]))
+        said = set().union(*(false_claimants.get(int(k), set()) for k in of_direction["k"]))
         wind_mps, number = first["edge_mps"], first["number"]
         rows.append((case, first["lost"], from_deg, wind_mps, number, len(said)))
     return pd.DataFrame(rows, columns=list(EDGES))

@@ -18,7 +18,7 @@ import pandas as pd
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.random_claims import CLAIMS, claims_of
+from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.scenario.scenario import scenario_once
@@ -147,7 +147,7 @@ def _answers(
 
 def _counts(steps: pd.DataFrame) -> pd.Series[int]:
     """Feasible, infeasible, held, refused, missed and untrue of one run."""
-    claims = claims_of(steps)
+    claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
     always = pd.DataFrame(
         {

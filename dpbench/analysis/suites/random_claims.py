@@ -96,16 +96,16 @@ def _figures(runs: Sequence[RunRecord]) -> str:
 
 
 CLAIMS = ("status", "certificate", "claimed", "true")
-"""What `claims_of` asks of steps."""
+"""What `classify_steps` asks of steps."""
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
     """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
-    return claims_of(steps).groupby(steps["run_id"]).sum()
+    return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 
-def claims_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """Whether each step is what `Tally` says, less `missed`."""
+def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
+    """Classify each step: one Boolean column per count of `Tally`, except `missed`."""
     known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(

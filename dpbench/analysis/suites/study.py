@@ -63,8 +63,6 @@ class PairedDifference:
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
-    unpaired : by what factor the interval were wider if realisations were not paired; NaN if
-        unknown.
     is_constant : whether it is the same in all pairs of a point, within `NOTHING`.
     """
 
@@ -72,7 +70,6 @@ class PairedDifference:
     pairs: int
     points: int
     spread: float
-    unpaired: float
     is_constant: bool
 
     @property
@@ -102,18 +99,16 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
     if both.empty:
-        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, np.nan, is_constant=False)
+        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, is_constant=False)
     columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
     difference = columns[0] - columns[1]
     estimate = mean_over_points(difference)
-    alone = math.hypot(*(mean_over_points(column).error for column in columns))
     extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
     return PairedDifference(
         estimate,
         len(both),
         len(difference),
         estimate.error * math.sqrt(len(both) / len(difference)),
-        alone / estimate.error,
         is_constant=bool((extent <= NOTHING).all()),
     )
 
@@ -164,8 +159,8 @@ class StudiedConfiguration:
     cost : closed-loop cost over that of the exactly solved loop in the same sea, less one: mean
         over runs.
     r_95_m : 95 % radial error, mean over runs [m].
-    behind, dearer : against the reference, of the 95 % radial error [m] and of the logarithm of the
-        closed-loop cost; None of the reference itself.
+    error_excess_m, log_cost_excess : 95 % radial error [m] and logarithm of the closed-loop cost,
+        less those of the reference; None of the reference itself.
     p_differs : of "its radial error differs from the reference's by more than `NOTHING`";
     p_cheap : of "it costs less than `SMALL_M` and less than `SMALL_COST`"; both adjusted for all
         configurations of the study (Holm), 1 of the reference.
@@ -179,8 +174,8 @@ class StudiedConfiguration:
     held: float
     cost: float
     r_95_m: float
-    behind: PairedDifference | None
-    dearer: PairedDifference | None
+    error_excess_m: PairedDifference | None
+    log_cost_excess: PairedDifference | None
     p_differs: float = 1.0
     p_cheap: float = 1.0
 
@@ -190,9 +185,13 @@ class StudiedConfiguration:
         return self.p_differs <= ALPHA
 
     @property
-    def is_behind(self) -> bool:
+    def has_larger_error(self) -> bool:
         """Whether its radial error is significantly larger than that of the reference."""
-        return self.behind is not None and self.differs and self.behind.estimate.value > 0.0
+        return (
+            self.error_excess_m is not None
+            and self.differs
+            and self.error_excess_m.estimate.value > 0.0
+        )
 
     @property
     def tolerance(self) -> float | None:
@@ -204,17 +203,17 @@ class StudiedConfiguration:
         """Whether it costs significantly less than 1 cm and less than 1 % of the cost."""
         if self.finished < self.runs:
             return False
-        return self.behind is None or self.p_cheap <= ALPHA
+        return self.error_excess_m is None or self.p_cheap <= ALPHA
 
     @property
     def p_unadjusted(self) -> tuple[float, float]:
         """`p_differs` and `p_cheap` of this configuration alone."""
-        if self.behind is None or self.dearer is None:
+        if self.error_excess_m is None or self.log_cost_excess is None:
             return 1.0, 1.0
-        cheap = self.dearer.estimate.p_below(math.log1p(SMALL_COST))
+        cheap = self.log_cost_excess.estimate.p_below(math.log1p(SMALL_COST))
         return (
-            self.behind.estimate.p_beyond(NOTHING),
-            max(self.behind.estimate.p_below(SMALL_M), cheap),
+            self.error_excess_m.estimate.p_beyond(NOTHING),
+            max(self.error_excess_m.estimate.p_below(SMALL_M), cheap),
         )
 
 
@@ -311,8 +310,8 @@ class Study:
             held=float(runs["held"].mean()),
             cost=float(runs["over_exact"].mean()),
             r_95_m=float(runs["r_95_m"].mean()),
-            behind=None if itself else self.difference(name, "r_95_m"),
-            dearer=None if itself else paired_difference(*log_cost),
+            error_excess_m=None if itself else self.difference(name, "r_95_m"),
+            log_cost_excess=None if itself else paired_difference(*log_cost),
         )
 
     @cached_property
@@ -335,14 +334,14 @@ class Study:
 
 def studies(records: Records) -> list[Study]:
     """All studies of a result folder."""
-    tables = {table.get("name") or table["base"]: table for table in records.suite.get("study", [])}
+    radii = {
+        table.get("name") or table["base"]: table.get("radius_m", 1.0)
+        for table in records.suite.get("study", [])
+    }
     by_name: dict[str, list[RunRecord]] = {}
     for run in records.study:
         by_name.setdefault(run.study, []).append(run)
-    return [
-        Study(name, runs, float(tables.get(name, {}).get("radius_m", 1.0)))
-        for name, runs in by_name.items()
-    ]
+    return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
 def _tolerance(solver: str, settings: str) -> float | None:

@@ -52,11 +52,11 @@ def _fields(values: pd.Series[float]) -> pd.Series[float]:
     return least + width * (number + 0.5)
 
 
-def mean_cm(behind: PairedDifference) -> dict[str, float | None]:
+def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
     """A mean with the ends of its interval [cm], None where none is stated; and its pairs."""
-    mean = behind.mean
+    mean = difference.mean
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
-    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": behind.pairs}
+    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
 def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
@@ -66,9 +66,9 @@ def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0
     for configuration in study.configurations:
-        if configuration.behind is None or configuration.behind.pairs == 0:
+        if configuration.error_excess_m is None or configuration.error_excess_m.pairs == 0:
             continue
-        rows.append({"name": configuration.name} | mean_cm(configuration.behind))
+        rows.append({"name": configuration.name} | mean_cm(configuration.error_excess_m))
         each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
         count += len(each)
         ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))

@@ -1,18 +1,95 @@
-"""The same QPs, one thing changed: settings levels that are right, forms that are fastest, replays
-that two solvers have in common."""
+"""Contrasts on the same QPs: routes, settings, formulations, and two solvers.
+
+Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native reuse,
+native warm: the first step down is what the wrapper costs, the second what a kept workspace gains,
+the third what a warm start gains.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
 
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.statistics import Interval, paired_ratio
+from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
+
+RoutePolicy = tuple[str, str]
+"""Route and policy."""
+
+WRAPPED, NATIVE, KEPT, WARM = (
+    ("qpsolvers", "fresh"),
+    ("native", "fresh"),
+    ("native", "reuse"),
+    ("native", "warm"),
+)
+WRAPPED_WARM = ("qpsolvers", "warm")
+ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
+    NATIVE: (WRAPPED,),
+    KEPT: (NATIVE,),
+    WARM: (KEPT, NATIVE),
+    WRAPPED_WARM: (WRAPPED,),
+}
+"""The neighbours a route is compared with: the first that was measured."""
+
+
+@dataclass(frozen=True)
+class RouteGain:
+    """A route of a solver at one settings level, against its neighbour `above`.
+
+    Parameters
+    ----------
+    gain : geometric mean of the neighbour's time over this one's, over their common steps.
+    median_ns : median of its algorithmic step time.
+    """
+
+    solver: str
+    settings: str
+    above: RoutePolicy
+    route: RoutePolicy
+    gain: Interval
+    median_ns: float
+
+
+def route_gains(records: Records, sequence: str) -> list[RouteGain]:
+    """Compare the routes of solvers that were also run natively, the fastest solver first.
+
+    None where no native route has a neighbour.
+    """
+    medians: dict[tuple[float, str], list[RouteGain]] = {}
+    by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
+    for (solver, settings), runs in by_solver.items():
+        times: dict[RoutePolicy, StepTimes] = {}
+        for run in runs:
+            if (of_run := records.times(run)) is not None:
+                times[run.route, run.policy] = of_run
+        if any(route == "native" for route, _ in times):
+            fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
+            own = medians.setdefault((fastest, solver), [])
+            own += [RouteGain(solver, settings, *gain) for gain in _gains(times)]
+    gains = [gain for key in sorted(medians) for gain in medians[key]]
+    return gains if any(gain.route[0] == "native" for gain in gains) else []
+
+
+def _gains(
+    times: Mapping[RoutePolicy, StepTimes],
+) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
+    """Neighbour, route, gain and median of each route that has a neighbour and common steps."""
+    for route, own in times.items():
+        above = next((above for above in ABOVE.get(route, ()) if above in times), None)
+        if above is not None:
+            above_ns, own_ns = paired(times[above], own)
+            if len(own_ns):
+                yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
 def right_levels(records: Records, demand: Demand) -> dict[str, list[str]]:

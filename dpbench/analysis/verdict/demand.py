@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.bench.record.descriptions import SuiteDescription
 
 MARGIN = 0.1
 """A loop survives a slow computer with a cost within this share of the exactly solved loop's."""
@@ -22,10 +22,15 @@ class Demand:
     deadline_ms: float = 300.0
 
     @classmethod
-    def of(cls, suite: dict[str, Any]) -> Demand:
+    def of(cls, suite: SuiteDescription) -> Demand:
         """The demand written in `suite.json`; defaults where it is silent."""
-        known = {k: v for k, v in suite.get("demand", {}).items() if k in cls.__annotations__}
-        return cls(**known)
+        known = suite.get("demand", {})
+        return cls(
+            known.get("error_move", cls.error_move),
+            known.get("failed_steps", cls.failed_steps),
+            known.get("p99_ms", cls.p99_ms),
+            known.get("deadline_ms", cls.deadline_ms),
+        )
 
     @property
     def p99_ns(self) -> float:

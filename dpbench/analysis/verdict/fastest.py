@@ -34,9 +34,9 @@ def _known(time_ns: float) -> float:
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
-def ranked(verdicts: Verdicts) -> list[Verdict]:
-    """The configurations that nothing is said against, timed on as many sequences as any; the
-    fastest first, and of two names of one run the more usual settings."""
+def qualifying(verdicts: Verdicts) -> list[Verdict]:
+    """Return the configurations without a finding against them that were timed on the most
+    sequences, the fastest first; of two names of one run the more usual settings."""
     ranks = [verdict for verdict in verdicts.all if verdict.ranks]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
@@ -46,12 +46,12 @@ def ranked(verdicts: Verdicts) -> list[Verdict]:
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
     """The fastest configuration of one solver, at its most usual settings where others are hardly
     faster."""
-    return next((v for v in podium(verdicts) if v.configuration.solver == solver), None)
+    return next((v for v in ranked_qualifying(verdicts) if v.configuration.solver == solver), None)
 
 
-def podium(verdicts: Verdicts) -> list[Verdict]:
-    """The fastest configuration of each solver, the fastest solver first."""
-    by_solver = grouped(ranked(verdicts), lambda verdict: verdict.configuration.solver)
+def ranked_qualifying(verdicts: Verdicts) -> list[Verdict]:
+    """Return the fastest qualifying configuration of each solver, the fastest solver first."""
+    by_solver = grouped(qualifying(verdicts), lambda verdict: verdict.configuration.solver)
     return list(map(_most_usual, by_solver.values()))
 
 
@@ -83,8 +83,8 @@ def _figure(verdict: Verdict) -> float:
 
 
 @dataclass(frozen=True)
-class Recommendation:
-    """The answer of a result folder.
+class SolverChoice:
+    """The solver to use, by the results of one folder.
 
     Parameters
     ----------
@@ -99,20 +99,20 @@ class Recommendation:
     because: str = ""
 
 
-def recommend(verdicts: Verdicts) -> Recommendation:
-    """The recommendation: by p99, among those that meet the demand.
+def choose_solver(verdicts: Verdicts) -> SolverChoice:
+    """Choose the solver with the smallest p99 among those that meet the demand.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
     """
-    known = podium(verdicts)
+    known = ranked_qualifying(verdicts)
     met, near = ([v for v in known if v.outcome == name] for name in ("meets", "borderline"))
     candidates = met or near or known
-    aboard = [v for v in candidates if not why_not_aboard(v.configuration.solver)]
-    chosen = aboard[0] if aboard else None
+    deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
+    chosen = deployable[0] if deployable else None
     faster = candidates[0] if candidates and candidates[0] is not chosen else None
-    because = why_not_aboard(faster.configuration.solver) if faster is not None else ""
-    return Recommendation(chosen, aboard[1] if aboard[1:] else None, faster, because)
+    because = deployment_blocker(faster.configuration.solver) if faster is not None else ""
+    return SolverChoice(chosen, deployable[1] if deployable[1:] else None, faster, because)
 
 
 def known_record(solver: str) -> SolverRecord | None:
@@ -128,19 +128,19 @@ def family_of(solver: str) -> str:
     return str(getattr(known_record(solver), "family", "not stated"))
 
 
-def why_not_aboard(solver: str) -> str:
-    """Why a solver cannot go aboard as it is; "" where it can."""
+def deployment_blocker(solver: str) -> str:
+    """Return why a solver cannot be deployed as it is; "" where it can."""
     known = known_record(solver)
-    return "not in the table of this installation" if known is None else known.why_not_aboard
+    return "not in the table of this installation" if known is None else known.deployment_blocker
 
 
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """Return the configuration that shows each solver, the best state first, then by time.
 
-    It is one of the solver's best state: the one that `podium` names, else its reference, else the
-    fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
+    It is one of the solver's best state: the one of `ranked_qualifying`, else its reference, else
+    the fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
     """
-    fastest = {verdict.configuration.solver: verdict for verdict in podium(verdicts)}
+    fastest = {verdict.configuration.solver: verdict for verdict in ranked_qualifying(verdicts)}
     chosen = []
     for solver, own in verdicts.of.items():
         whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own

@@ -1,9 +1,12 @@
 """Late timings that the machine does not explain, by one-sided tests with stated error rates.
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
-one. The single timings show it, but so do interrupts of the machine. Both are told apart by what
-the other configurations suffered in the same interleaved rounds: a stall of the machine strikes
-whoever runs, in proportion to the time that it runs.
+one. The single timings show it, but so do interrupts of the machine. Where another program took
+the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is
+left of the machine is told apart by what the other configurations suffered in the same interleaved
+rounds: a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits
+for threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are
+those that it is compared with.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median over rounds, as a burst of the
@@ -16,9 +19,9 @@ hundred, which a p99 allows ("late timings").
 
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times. Each involuntary context switch explains one late timing; the others
-are held against a binomial count with a share of 1 %. Of all switches only those count that can
-have hit the base time of a timed call (`explained_by`).
+the uncertainty of the times. The count is held against a binomial one with a share of 1 %. Where
+nobody knows who had the core, each involuntary context switch explains one late timing; of all
+switches only those count that can have hit the base time of a timed call (`explained_by`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -37,10 +40,10 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import holm
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.uncertainty import Uncertainty
@@ -59,6 +62,9 @@ DISPERSION = (0.5, 50.0)
 """Bounds of the shape of the negative binomial: the lower, the more uneven the machine."""
 DEADLINE_SHAPE = 0.5
 """Its shape for stalls past the deadline, too rare for an estimate."""
+THREAD_WAITS = 0.5
+"""A configuration that waits in so many of its steps waits for threads of its own, and how long
+those wait for the core is unknown."""
 PASSES = 3
 """Estimates of the machine: first from the trusted, then without those proven late."""
 
@@ -121,7 +127,9 @@ def find_late_timings(
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
-    delays = records.delays([*replays, *loops, *arms])
+    found = records.delays([*replays, *loops, *arms])
+    left = [run for run in (*replays, *loops, *arms) if run.run_id in found]
+    delays = {run.run_id: _known(run, found[run.run_id]) for run in left}
     replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
@@ -136,8 +144,21 @@ def find_late_timings(
         ],
         "past the deadline": _test_deadline(loops, replays, arms, delays, demand),
     }
-    found = [late for of_kind in tests.values() for late in adjust(of_kind) if late.p <= DOUBTFUL]
-    return grouped(found, lambda late: late.run.run_id)
+    late = [test for of_kind in tests.values() for test in adjust(of_kind) if test.p <= DOUBTFUL]
+    return grouped(late, lambda test: test.run.run_id)
+
+
+def _known(run: RunRecord, delays: Delays) -> Delays:
+    """Return the delays of a run; gross where its own threads may be what it waits for."""
+    waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
+    return delays.gross() if waits else delays
+
+
+def _beside(own: Delays, others: Sequence[Delays]) -> list[Delays]:
+    """Return what other runs show of the machine, as the own delays are known."""
+    if own.knows_waits:
+        return [other for other in others if other.knows_waits]
+    return [other.gross() for other in others]
 
 
 def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
@@ -169,8 +190,9 @@ def _test_replays(
         tests = []
         for run in replays:
             others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
-            around = [delays[other.run_id] for other in others]
-            tests.append(_test_replay(run, delays[run.run_id], around, demand, kind))
+            own = delays[run.run_id]
+            around = _beside(own, [delays[other.run_id] for other in others])
+            tests.append(_test_replay(run, own, around, demand, kind))
         late = {test.run for test in adjust(tests) if test.proven}
         beside = [run for run in (*replays, *arms) if run not in late]
     return tests
@@ -197,9 +219,14 @@ def trusted(
 
 
 def machine_of(beside: Sequence[Delays], limit_ns: float) -> Machine:
-    """Estimate the machine from other solvers' stalls longer than half a limit."""
-    stalls = np.concatenate([one.count_stalls(0.5 * limit_ns) for one in beside])
-    exposed_ns = np.concatenate([one.base_ns for one in beside])
+    """Estimate the machine from other solvers' stalls longer than half a limit.
+
+    Their first round is left out: whoever remembers answers is slow in it, and the machine is not.
+    """
+    counts = [one.count_stalls(0.5 * limit_ns) for one in beside]
+    first = [min(1, len(count) - 1) for count in counts]
+    stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
+    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(beside, first, strict=True)])
     return estimate_machine(stalls.astype(np.float64), exposed_ns)
 
 
@@ -219,8 +246,8 @@ def _test_replay(
     run: RunRecord, own: Delays, beside: Sequence[Delays], demand: Demand, kind: Kind
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
-    counts = own.count_late(demand.p99_ns)
-    late, samples = int(counts.sum()), int(own.samples.sum())
+    counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
+    late = int(own.gross().count_late(demand.p99_ns).sum())
     if not beside:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -228,7 +255,8 @@ def _test_replay(
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
     multiples = (1.0,) if allowed else MULTIPLES
     ps = [_p_of_middle_round(own, beside, m * demand.p99_ns, allowed) for m in multiples]
-    expected = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum()) / samples
+    stalls = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum())
+    expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
@@ -244,19 +272,26 @@ def _p_of_middle_round(
 
 
 def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test the late timings of a run of one round that no involuntary switch explains."""
-    late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
-    switches = run.involuntary_switches
-    timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
-    unexplained = late - explained_by(float(np.nan_to_num(switches)), timed_share)
-    p = float(binom.sf(unexplained - 1, samples, ALLOWED))
+    """Test the late timings of a run of one round that the machine does not explain."""
+    late, samples = int(own.gross().count_late(limit_ns).sum()), int(own.samples.sum())
+    explained = _explained(run, own, late, limit_ns)
+    p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.
-    p = DOUBTFUL if math.isnan(switches) and p < DOUBTFUL else p
-    expected = math.nan if math.isnan(switches) else explained_by(switches, timed_share) / samples
-    return LateTimings("late timings", run, late, samples, expected, p)
+    p = DOUBTFUL if math.isnan(explained) and p < DOUBTFUL else p
+    return LateTimings("late timings", run, late, samples, explained / samples, p)
+
+
+def _explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+    """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
+    if own.knows_waits:
+        return late - int(own.count_late(limit_ns).sum())
+    if math.isnan(run.involuntary_switches):
+        return math.nan
+    timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
+    return explained_by(run.involuntary_switches, timed_share)
 
 
 def _test_deadline(

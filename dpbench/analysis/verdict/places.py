@@ -114,12 +114,12 @@ class PlacedRuns:
         for (configuration, place), run in runs.items():
             at = configurations.index(configuration), numbers[place]
             placed.runs[at] = run
-            there = {("", ""): run}
+            judged = [run]
             window = windows.get((configuration, run.scenario))
             where = place.mode, place.units, place.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
-                there["replay", "window"] = window
-            placed.states[at] = verdict_of(records, configuration, there, [], verdicts.demand)
+                judged.append(window)
+            placed.states[at] = verdict_of(records, configuration, judged, [], verdicts.demand)
         return placed
 
     @property
@@ -181,15 +181,9 @@ class PlacedRuns:
     def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
         """The run with its largest single timing, of everything judged that it ran: loops and
         replays alike; None where none left one."""
-        known = [
-            (self.places[p], run)
-            for (c, p), run in self.runs.items()
-            if self.configurations[c] == configuration
-            and self.places[p].units == "scaled"
-            and not self.places[p].study
-            and not math.isnan(run.raw_max_ns)
-        ]
-        return max(known, key=lambda one: one[1].raw_max_ns, default=None)
+        judged = self._judged_runs(configuration)
+        timed = [(place, run) for place, run in judged if not math.isnan(run.raw_max_ns)]
+        return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
 
     def margin(self, configuration: Configuration) -> SpeedMargin | None:
         """Return the speed margin of a configuration; None where no replay of it was timed."""
@@ -197,17 +191,17 @@ class PlacedRuns:
 
     def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
         """How many steps of its judged runs had no solution, and whether it said so of all."""
-        known = [
-            run
-            for (c, p), run in self.runs.items()
-            if self.configurations[c] == configuration
-            and self.places[p].units == "scaled"
-            and not self.places[p].study
-            and run.infeasible_steps > 0
-        ]
+        judged = self._judged_runs(configuration)
+        known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
         steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
         return steps, all(run.true_share == 1.0 for run in known)
+
+    def _judged_runs(self, configuration: Configuration) -> list[tuple[Place, RunRecord]]:
+        """Return its runs that enter verdicts."""
+        c = self.index(configuration)
+        known = [(self.places[p], run) for (at, p), run in self.runs.items() if at == c]
+        return [one for one in known if one[0].units == "scaled" and not one[0].study]
 
     def index(self, configuration: Configuration) -> int:
         """The number of a configuration; −1 for one that was not run."""

@@ -82,7 +82,7 @@ def steering_of(records: Records, demand: Demand) -> Steering:
 
 
 @dataclass(frozen=True)
-class SteeredLoops:
+class ThrusterControlLoops:
     """The loops that steer thrusters: of each configuration by its name, and `best` of each
     scenario: of those right to the end that ran farthest, the nearest to the exact loop."""
 
@@ -90,8 +90,8 @@ class SteeredLoops:
     configurations: dict[str, list[RunRecord]]
 
 
-def steered_by(records: Records, demand: Demand) -> SteeredLoops:
-    """The loops that steer thrusters in scenarios that somebody is right in."""
+def thruster_control_loops(records: Records, demand: Demand) -> ThrusterControlLoops:
+    """Select runs that command thrusters, in scenarios where a run is right throughout."""
     runs = [
         run
         for run in records.select(mode="closed_loop")
@@ -103,7 +103,7 @@ def steered_by(records: Records, demand: Demand) -> SteeredLoops:
     )
     best = firsts(right, lambda run: run.scenario)
     known = [run for run in runs if run.scenario in best]
-    return SteeredLoops(
+    return ThrusterControlLoops(
         best, grouped(known, lambda run: run.configuration.in_common_formulation.label)
     )
 

@@ -155,7 +155,7 @@ def verdicts_of(
         by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
         longest = {it: _longest(runs) for it, runs in by_configuration.items()}
         ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
-        asked = [run for run in ordered[0][1].values() if run.outcome != "refused"]
+        asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
             verdict_of(records, configuration, runs, asked, demand)
             for configuration, runs in ordered
@@ -163,32 +163,18 @@ def verdicts_of(
     return Verdicts(demand, verdicts)
 
 
-Place = tuple[str, str]
-"""Mode, and scenario or sequence."""
+def _longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """Return the longest run of each scenario and replay."""
+    alike = grouped(runs, lambda run: (run.mode, run.problem))
+    return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
-def _longest(runs: Iterable[RunRecord]) -> dict[Place, RunRecord]:
-    """The longest run of a configuration in each place."""
-    best: dict[Place, RunRecord] = {}
-    for run in runs:
-        place = _place(run)
-        if place not in best or run.steps_planned > best[place].steps_planned:
-            best[place] = run
-    return best
-
-
-def _place(run: RunRecord) -> Place:
-    return run.mode, run.problem
-
-
-def _reference_first(
-    configuration: Configuration, runs: Mapping[Place, RunRecord]
-) -> tuple[Any, ...]:
+def _reference_first(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
     """Sort key: a solver's reference is its most usual configuration that ran at all, closed loops
     and replays both if there is such a one."""
-    ran = [run for run in runs.values() if run.outcome != "refused"]
+    ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
-    default = any(run.default_route for run in runs.values())
+    default = any(run.default_route for run in runs)
     return (
         settings_level(configuration.settings) if ran else (99, ""),
         -kinds,
@@ -200,19 +186,19 @@ def _reference_first(
 def verdict_of(
     records: Records,
     configuration: Configuration,
-    runs: Mapping[Place, RunRecord],
+    runs: Sequence[RunRecord],
     asked: Sequence[RunRecord],
     demand: Demand,
 ) -> Verdict:
-    """The verdict on one configuration.
+    """Return the verdict on one configuration.
 
     Parameters
     ----------
-    runs : its longest run in each place; asked : the runs of its solver's reference.
+    runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
-    ran = [run for run in runs.values() if run.outcome != "refused"]
+    ran = [run for run in runs if run.outcome != "refused"]
     if not ran:
-        return Verdict(configuration, "not run", refusal=detail(next(iter(runs.values()))))
+        return Verdict(configuration, "not run", refusal=detail(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
     evidence = time_evidence(records, demand)
     times, figures = judge_times(records, replays, demand, evidence.uncertainty)
@@ -269,12 +255,13 @@ def _evaluated_steps(run: RunRecord) -> int:
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))
 
 
-def _gaps(runs: Mapping[Place, RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
+def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
     """Where the reference was run and these runs were not, or not as far."""
+    known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
     for run in asked:
-        own = runs.get(_place(run))
+        own = known.get((run.mode, run.problem))
         if own is None:
             absent.append(run)
         elif own.outcome == "refused":

@@ -41,7 +41,8 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_recorded, is_sound, is_timed, source_of
+from dpbench.bench.record.qp_source import RecordedSource
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, solvers_of
 from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
@@ -110,7 +111,7 @@ class DaskEngine(ExitStack):
             self._cluster = Cluster(client, is_own=True)
         if (kinds := self._cluster.kinds) > 1:
             progress.remark(f"workers on {kinds} kinds of machines: replays of one kind are ranked")
-        if not self._cluster.exclusive and any(is_timed(job.cell) for job in jobs):
+        if not self._cluster.exclusive and any(job.cell.is_timed for job in jobs):
             progress.remark(NOT_ALONE)
         self._refreshed_s = time.monotonic()
 
@@ -228,7 +229,7 @@ class DaskEngine(ExitStack):
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
-            if is_recorded(cell) or is_sound(cell, path):
+            if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
                 made[str(path)] = self._submit(sent_file, _read_source(cell, path), name="source")
                 del texts[path]
         if texts:
@@ -256,9 +257,9 @@ class DaskEngine(ExitStack):
 
 def _read_source(cell: Cell, path: Path) -> MadeFile:
     """Read the file behind the QPs of a cell, made on this machine where it is not there."""
-    if not is_sound(cell, path):
+    if not is_readable(cell, path):
         try:
-            source_of(cell).make(path)
+            source_file(cell).make(path)
         except (CertificateError, InputError) as error:
             return MadeFile(Outcome("invalid", str(error)))
     return MadeFile(Outcome("finished", ""), path.read_bytes())

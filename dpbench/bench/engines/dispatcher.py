@@ -15,7 +15,6 @@ from dpbench.bench.engines.engine import Completed, Engine, EngineGoneError, Han
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.sequences.source import is_timed, last_step
 from dpbench.bench.workers.jobs import (
     Batch,
     CellBatch,
@@ -122,7 +121,7 @@ class Dispatcher:
                 break
             self._blocked.append(self._waiting.popleft())
             self._being_made.update(new)
-            self._open_steps |= {key: last_step(longest(self._of_key[key])) for key in new}
+            self._open_steps |= {key: longest(self._of_key[key]).last_step for key in new}
             keys += new
         self._ready.extend(self._source_batches(keys))
 
@@ -258,15 +257,15 @@ class Dispatcher:
 
 def longest(jobs: Sequence[CellJob]) -> Cell:
     """Return, of the cells of one source, the one that needs most of it."""
-    return max((job.cell for job in jobs), key=last_step)
+    return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
 def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
     """Yield cells in the order they run: nothing runs beside what is timed."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
-    yield "replays", [job for job in replays if is_timed(job.cell)]
-    yield "problems without a deadline", [job for job in replays if not is_timed(job.cell)]
+    yield "replays", [job for job in replays if job.cell.is_timed]
+    yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
 
 
 def _without_source(job: CellJob, outcome: Outcome) -> Result:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.workers.jobs import Batch, CellJob, Result
 from dpbench.errors import DpbenchError
 
@@ -43,7 +44,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
     remarks : lines for whoever started the campaign, at its end.
     """
 
-    machine: dict[str, Any]
+    machine: MachineDescription
 
     @property
     def slots(self) -> int: ...

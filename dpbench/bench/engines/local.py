@@ -11,7 +11,7 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_sound, is_timed
+from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.compiled import missing, needed
 from dpbench.bench.workers.executor import CellExecutor
@@ -54,13 +54,13 @@ class LocalEngine(ExitStack):
             sorted(os.sched_getaffinity(0)),
             self.slots,
             progress,
-            str(self.machine["id"]),
+            self.machine["id"],
             work=str(sources.folder.parent),
             patience=self._patience,
         )
         self._executor = self.enter_context(executor)
         if jobs:
-            executor.find_machine_free(times=any(is_timed(job.cell) for job in jobs))
+            executor.find_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
         """One that is timed, or enough for all cores."""
@@ -77,7 +77,7 @@ class LocalEngine(ExitStack):
 
     def has_source(self, key: str, cell: Cell) -> bool:
         """Read the file behind the QPs of a cell to its end."""
-        return is_sound(cell, self._sources.path(key))
+        return is_readable(cell, self._sources.path(key))
 
     def release_source(self, key: str) -> None:
         """Remove the file."""

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Any
 
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import CellExecutor
@@ -42,7 +42,7 @@ class WorkerInfo:
 
     harness_version: str
     may_start: bool
-    machine: dict[str, Any]
+    machine: MachineDescription
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,14 @@ import re
 from dataclasses import asdict, dataclass, field
 from heapq import heapify, heapreplace
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.descriptions import MachineFile, validated
+from dpbench.bench.record.descriptions import MachineDescription, validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.record.revision import Revision, revision
-from dpbench.bench.sequences.source import is_timed
 from dpbench.bench.workers.jobs import (
     BATCH_CELLS,
     CellJob,
@@ -98,10 +96,10 @@ def _work(job: CellJob) -> int:
 def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Jobs of one source in the smallest groups that stay together: replays of one sequence, and
     batches of one configuration."""
-    units = interleaved([job for job in jobs if is_timed(job.cell)])
+    units = interleaved([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
-        if not is_timed(job.cell):
+        if not job.cell.is_timed:
             alike.setdefault(configuration_key(job.cell), []).append(job)
     for some in alike.values():
         units += [some[i : i + BATCH_CELLS] for i in range(0, len(some), BATCH_CELLS)]
@@ -117,10 +115,10 @@ class ShardRecord:
     digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
     """
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str = HARNESS_VERSION
     revision: Revision = field(default_factory=revision)
 
@@ -136,7 +134,6 @@ class ShardRecord:
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
             raise InputError("gather", "", found, allowed)
         read = validated(read_json(path), _ShardFile, path)
-        validated({"machine": read.machine}, _WithMachine, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
 
@@ -145,15 +142,9 @@ class _ShardFile(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str
     revision: Revision
-
-
-class _WithMachine(BaseModel):
-    """That the machine in it is one, of which all that is said is kept."""
-
-    machine: MachineFile

@@ -18,19 +18,12 @@ from dpbench.bench.judge.control_metrics import control_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
-from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.referee import (
-    ACTIVE_MULTIPLIER,
-    Optimum,
-    Referee,
-    claim_is_true,
-    errors_of,
-    referee_of,
-)
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of
 from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, scenario_once
@@ -176,7 +169,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     done = int(log.done[0])
     columns, matrix_steps = _controller(scaled, own, log)
     columns |= {
-        "t_s": times_of(columns["k"], 0, 1, scenario.sample_s),
+        "t_s": columns["k"] * scenario.sample_s,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
@@ -309,6 +302,7 @@ def common_columns(
         "status": rows(log.status),
         "iterations": rows(log.iterations),
         "reported_ns": rows(log.reported_ns),
+        "waited_ns": rows(log.waited_ns),
         "setup_once_ns": log.setup_once_ns.copy(),
         "matrix_updates": log.matrix_updates.copy(),
         "certificate": certificates,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
+from dpbench.bench.judge.answer_caching import memory_metrics
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -16,13 +17,11 @@ from dpbench.bench.judge.closed_loop import (
     common_columns,
     recorded_answer,
 )
-from dpbench.bench.judge.memory_of_answers import memory_metrics
 from dpbench.bench.record.disturbance import disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.footprint import footprint_metrics
 from dpbench.qp.program import QPSequence, Units
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 
 
 def evaluate_sequence(
@@ -46,7 +45,7 @@ def evaluate_sequence(
         _evaluate_rounds(log, own, units, optima, rounds, counts, evaluations, certificates)
     columns = common_columns(log, rounds, counts, evaluations, certificates)
     first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
-    columns["t_s"] = times_of(columns["k"], first, every, sample_s)
+    columns["t_s"] = (first + every * columns["k"]) * sample_s
     columns["reference_kernel_ns"] = log.reference_kernel_ns[rounds].copy()
     columns["load_kernel_ns"] = log.load_kernel_ns[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}

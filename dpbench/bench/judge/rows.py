@@ -14,16 +14,17 @@ from dpbench.bench.judge.deadlines import deadline_metrics, longest_streak, step
 from dpbench.bench.judge.rules import (
     INFEASIBLE,
     UNDECIDED,
+    StepColumns,
     claimed_not_true,
     decided,
     errors,
     failed_steps,
     largest,
     median,
+    select_rows,
+    steps_with_answers,
     true_not_claimed,
-    unusable,
 )
-from dpbench.bench.judge.step_columns import StepColumns, chosen
 from dpbench.bench.judge.timing import timing_metrics
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
@@ -94,10 +95,10 @@ def run_row(
         # It ended within its warm-up, which says nothing about it.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
-    judged = _evaluated(cell, chosen(steps, counts))
+    judged = steps_with_answers(select_rows(steps, counts), cell.slowdown)
     row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(judged) | _worst_of_all(_evaluated(cell, steps))
+        row |= _accuracy(judged) | _worst_of_all(steps_with_answers(steps, cell.slowdown))
     if cell.mode == "closed_loop":
         row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
     return row
@@ -112,7 +113,7 @@ def _deadline_s(cell: Cell) -> float:
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
-    scenario = cell.scenario.get("scenario", {}) if cell.is_of_controller else {}
+    scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
         "N_p": controller.get("prediction_horizon"),
@@ -123,17 +124,9 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
-def _evaluated(cell: Cell, steps: StepColumns) -> StepColumns:
-    """The steps with an answer to judge; a late one is not for that reason a failed one."""
-    if cell.slowdown == 0.0:
-        return steps
-    asked = chosen(steps, steps["total_ns"] > ABSENT)
-    return asked | {"fallback": unusable(asked)}
-
-
 def _accuracy(steps: StepColumns) -> dict[str, Any]:
     known, undecided = decided(steps), steps["certificate"] == UNDECIDED
-    charged = chosen(steps, ~undecided)
+    charged = select_rows(steps, ~undecided)
     moves = errors(charged)
     moves = moves[~np.isnan(moves)]
     iterations = steps["iterations"][steps["iterations"] > ABSENT]
@@ -160,7 +153,7 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
 def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
     """Return the largest error and the failed steps of all rounds: no disturbance excuses a wrong
     answer, and a fault on a first visit may be in the warm-up alone."""
-    charged = chosen(steps, steps["certificate"] != UNDECIDED)
+    charged = select_rows(steps, steps["certificate"] != UNDECIDED)
     return {
         "error_move_max": largest(errors(charged)),
         "error_plan_max": largest(charged["error_plan"]),

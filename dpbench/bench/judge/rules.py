@@ -17,8 +17,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats
+from dpbench.bench.record.schema import ABSENT
 from dpbench.qp.solution import Status
 
+StepColumns = dict[str, NDArray[Any]]
+"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
 Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
 """Columns of steps by name: (N,) arrays, or a table."""
 
@@ -37,6 +40,7 @@ INFEASIBLE, UNDECIDED, UNCERTIFIED = "infeasible", "undecided", "none"
 by rounding, which is charged to nobody; nothing is proven."""
 NO_ANSWER_CLAIMS = tuple(status.name for status in Status if status.denies_optimum)
 """Status names of the claims that there is no optimum."""
+_UNFINISHED = tuple(status.name for status in Status if status.is_unfinished)
 _NO_USE = tuple(status.name for status in Status if not status.usable)
 
 
@@ -150,6 +154,20 @@ def failed_steps(steps: Steps) -> Flags:
     return failed & ~_among(steps, "certificate", (UNDECIDED,))
 
 
+def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
+    """Return the steps with an answer to judge, of a computer that much slower; an answer that is
+    late is not for that reason a failed one."""
+    if slowdown == 0.0:
+        return steps
+    answered = select_rows(steps, steps["total_ns"] > ABSENT)
+    return answered | {"fallback": unusable(answered)}
+
+
+def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
+    """Return some of the rows."""
+    return {name: column[rows] for name, column in steps.items()}
+
+
 def claimed_not_true(steps: Steps) -> Flags:
     """(N,) steps claimed solved that are not; where the right answer is not known, no claim is
     false."""
@@ -167,6 +185,11 @@ def unusable(steps: Steps) -> Flags:
     finite."""
     infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
     return _among(steps, "status", _NO_USE) | np.asarray(infinite)
+
+
+def unfinished(steps: Steps) -> Flags:
+    """(N,) steps whose answer, where it can be applied at all, is an unfinished iterate."""
+    return _among(steps, "status", _UNFINISHED)
 
 
 def errors(steps: Steps) -> Floats:

@@ -6,12 +6,13 @@ that a run has not is left out; a whole number that is missing is `ABSENT`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Flags, Ints
+from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -26,20 +27,21 @@ from dpbench.bench.judge.rules import (
     UNCERTIFIED,
     UNDECIDED,
     WARM_UP,
+    StepColumns,
     counting_rows,
+    unfinished,
     unusable,
 )
 from dpbench.bench.judge.timing import disturbed_rounds_of
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import TIMES
+from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
 from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
-from dpbench.bench.record.step_table import INSIDE, change_of, total_of
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_once
 
-StepColumns = dict[str, NDArray[Any]]
-"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
+INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
+"""The columns of the phases that are the solver's."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
 _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
@@ -65,7 +67,7 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
         disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
         steps["warmup"], steps["disturbed"] = steps["repeat"] == WARM_UP, disturbed
         steps["counts"] = counting_rows(columns["repeat"], disturbed)
-        steps["unconverged"] = np.isin(steps["status"], ("INACCURATE", "MAX_ITERATIONS"))
+        steps["unconverged"] = unfinished(steps)
         steps["fallback"] = unusable(steps)
         return steps
     steps["counts"] = np.ones(rows, dtype=np.bool_)
@@ -103,11 +105,6 @@ def _waited_ns(steps: StepColumns) -> Ints:
     return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
 
 
-def chosen(steps: StepColumns, rows: Flags) -> StepColumns:
-    """Some of the rows."""
-    return {name: column[rows] for name, column in steps.items()}
-
-
 def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
     """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
     all."""
@@ -123,7 +120,7 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
         "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
     }
     steps |= {f"{phase}_ns": _whole(times[:, i]) for i, phase in enumerate(TIMES)}
-    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns")}
+    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")}
     for i, figure in enumerate(EVALUATION):
         values = columns["evaluations"][:, i]
         steps[figure] = values == 1.0 if figure.startswith("true") else values
@@ -149,6 +146,8 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
     for unknown in (UNDECIDED, UNCERTIFIED):
         either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
         both["certificate"] = np.where(either, unknown, both["certificate"])
+    waited = first["waited_ns"], second["waited_ns"]
+    both["waited_ns"] = np.where(np.minimum(*waited) > ABSENT, sum(waited), ABSENT)
     both["allocation_ns"] = total_of({phase: second[phase] for phase in INSIDE})
     both["allocation_error"] = second["error_move"]
     return both
@@ -168,3 +167,26 @@ def _of_ship(columns: Columns) -> StepColumns:
         ship[f"dtau_{axis}"] = change_of(tau[:, i], columns["k"])
         ship[f"cmd_{axis}"] = columns["command"][:, i]
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
+
+
+def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
+    """Return (N,) the time of each step: of its phases, and of the second QP of a cascade.
+
+    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
+    is there.
+    """
+    phases = [steps[phase] for phase in INSIDE]
+    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
+    total = np.zeros(len(phases[0]), dtype=np.int64)
+    for part in parts:
+        total += np.maximum(part, 0)
+    total[np.maximum.reduce(phases) < 0] = ABSENT
+    return total
+
+
+def change_of(values: Floats, k: NDArray[Any]) -> Floats:
+    """Return (N,) the change against the row before; against zero where a run begins, at k = 0."""
+    before = np.roll(values, 1)
+    before[k == 0] = 0.0
+    change: Floats = values - before
+    return change

@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.bench.judge.control_metrics import AT_LIMIT
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.thruster_rows import LimitRampDown
 from dpbench.scenario.commanded_thrusters import ThrusterControl
 from dpbench.scenario.scenario import Scenario
 
@@ -104,7 +104,7 @@ def _at_limits(
             kept = control.turning.kept(before[k], f[k] - before[k], step_max)
             away = np.abs(kept - (f[k] - before[k]))
             too_fast[k] = bool((away > 1e-6 * step_max).any())
-    retreat = Retreat(control.rows, step_max, unit, 1)
+    retreat = LimitRampDown(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]

@@ -36,7 +36,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
         "raw_samples": len(raw),
     }
     if cell.mode == "closed_loop":
-        timing["solve_s"] = 1e-9 * float(raw.sum())
+        timing["solve_s"] = 1e-9 * float((raw - np.maximum(counting["waited_ns"], 0)).sum())
         for phase in ("emit", "overhead"):
             times_ns = counting[f"{phase}_ns"]
             timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > ABSENT])

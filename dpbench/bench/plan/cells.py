@@ -26,16 +26,18 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import (
-    capability_source,
-    random_source,
-    recorded_source,
+from dpbench.bench.record.qp_source import (
+    CONTROLLER,
+    CapabilitySource,
+    QPSource,
+    RandomSource,
+    RecordedSource,
 )
+from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
 from dpbench.qp.referee.kkt import positive_definite
-from dpbench.scenario.problem_files import sequence_path
+from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import vessel_files, vessel_of
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from dpbench.solvers.table import record
@@ -99,6 +101,7 @@ def replay_cells(
     solvers: Sequence[str],
     steps: int,
     *,
+    source: QPSource = CONTROLLER,
     no_stages: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
@@ -107,7 +110,7 @@ def replay_cells(
     Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
     the hardest steps has its share of the budgets of its stretch, and a short warm-up.
     """
-    share = steps / (fields.get("source") or {}).get("of", steps)
+    share = steps / source.stretch(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {
             "budget_s": share * suite.replay_budget_s,
@@ -121,6 +124,7 @@ def replay_cells(
             table,
             no_stages=no_stages,
             mode="replay",
+            source=source,
             steps=steps,
             rounds=suite.rounds,
             warmup_steps=min(most, steps),
@@ -156,16 +160,17 @@ def recorded_cells(
     InputError : for a file that is no sequence, or two sequences of one name.
     """
     cells: list[PlannedCell] = []
-    places: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for table in suite.recorded:
         path = sequence_path(table.sequence, beside)
-        source = recorded_source(table.sequence, path, "")
-        sequence = read_sequence(path).sequence
-        source["name"] = sequence.name
-        known = places.setdefault(sequence.name, source["sha256"])
-        if known != source["sha256"] or sequence.name in taken:
+        # Another installation has a stored sequence in another folder.
+        origin = table.sequence if is_stored(table.sequence) else str(path)
+        sha256, sequence = digest(path), read_sequence(path).sequence
+        known = digests.setdefault(sequence.name, sha256)
+        if known != sha256 or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"
             raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
+        source = RecordedSource(sequence.name, origin, sha256)
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
         strict = all(positive_definite(P) for P in matrices)
@@ -185,7 +190,8 @@ def capability_cells(
     files = vessel_files(table.vessel, beside=beside)
     cases = Frontier(vessel_of(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
-    source = capability_source(files, table.sides)
+    name = f"{files['vessel_name']} capability, {table.sides} sides"
+    source = CapabilitySource(name, table.sides, **files)
     steps = POINTS * DIRECTIONS * len(cases)
     cells = replay_cells(suite, table, own, steps, scenario={}, source=source)
     # What a solver claims of a QP does not change from round to round.
@@ -207,5 +213,5 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
 
 
 def _of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
-    planned = replace(blank, cell=replace(blank.cell, source=random_source(recipe)))
+    planned = replace(blank, cell=replace(blank.cell, source=RandomSource.of(recipe)))
     return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned

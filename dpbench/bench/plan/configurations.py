@@ -17,7 +17,7 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, SettingsError, UnknownNameError
+from dpbench.errors import InputError, SettingsError, UnknownNameError, one_of
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
@@ -41,14 +41,16 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
     named = _asked("solvers", suite.solvers)
-    allowed = f"a solver of the suite: {', '.join(named)}"
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
             if table.solvers and not set(_asked(key, table.solvers)) & set(named):
-                raise InputError("suite", key, ", ".join(table.solvers), allowed)
+                found = ", ".join(table.solvers)
+                allowed = f"a solver of the suite: {one_of(found, named)}"
+                raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
     if baseline is not None and baseline not in named:
+        allowed = f"a solver of the suite: {one_of(baseline, named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _named(only) if only else named
     if not only and suite.baseline_law:

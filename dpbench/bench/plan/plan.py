@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from dpbench.bench.plan.cells import (
     PlannedCell,
@@ -23,10 +22,10 @@ from dpbench.bench.plan.configurations import (
 )
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
+from dpbench.bench.record.qp_source import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.bench.sequences.source import consequence_source, hardest_source
-from dpbench.errors import InputError
+from dpbench.errors import InputError, one_of
 from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
 from dpbench.solvers.calibration import CALIBRATION
@@ -53,7 +52,7 @@ def plan(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = ", ".join(known) or "none, the suite has no scenario"
+            allowed = one_of(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _under_horizons(suite, loaded)
@@ -166,11 +165,11 @@ def _replay_cells(
         _check_window(table, scenario)
     if table.consequence:
         return _consequence_cells(suite, table, scenario, solvers, steps)
-    source: dict[str, Any] = {}
+    source: QPSource = CONTROLLER
     if table.hardest:
         # A scenario given in place of the suite's own may have fewer steps.
         of, steps = steps, min(table.hardest, steps)
-        source = hardest_source(_replay_name(table, scenario, of), steps, of)
+        source = HardestSource(f"{_replay_name(table, scenario, of)} hardest {steps}", of)
         # The machine is measured in the replays that are long enough for it.
         solvers = [name for name in solvers if name not in CALIBRATION]
     return replay_cells(
@@ -218,6 +217,7 @@ def _consequence_cells(
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
     own = [name for name in solvers if name not in CALIBRATION]
+    sequence = _replay_name(table, scenario, steps)
     return [
         cell
         for group in thrusters.groups
@@ -228,6 +228,6 @@ def _consequence_cells(
             steps,
             scenario=scenario.files,
             first=table.first,
-            source=consequence_source(_replay_name(table, scenario, steps), group),
+            source=ConsequenceSource(f"{sequence}, {group} lost", group),
         )
     ]

@@ -10,9 +10,11 @@ from dpbench.bench.plan.cells import PlannedCell, cell_of
 from dpbench.bench.plan.configurations import BASELINE_LAW, configurations_of
 from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, points_of
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
+from dpbench.bench.record.cell import StudyRealisation
 from dpbench.errors import InputError
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import SEED, Files, differ, value_of, varied, varied_files
+from dpbench.scenario.variation import SEED, differ, value_of, varied, varied_files
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
@@ -75,7 +77,6 @@ def _blanks(
             mode="closed_loop",
             scenario=base.files,
             steps=1,
-            fallback="shifted_plan",
         )
         for configuration in configurations_of(solvers, loops)
     ]
@@ -89,15 +90,14 @@ def _blanks(
 
 
 def _at(
-    blank: PlannedCell, table: StudyTable, point: StudyPoint, files: Files, steps: int
+    blank: PlannedCell, table: StudyTable, point: StudyPoint, files: ScenarioDocuments, steps: int
 ) -> PlannedCell:
     """The cell of a configuration at a point, whose scenario has these documents and steps."""
-    study = {"name": table.title, "point": point.index, "replicate": point.replicate}
     cell = replace(
         blank.cell,
         scenario=files,
         steps=min(table.steps or steps, steps),
-        study=study | {"x": point.values},
+        study=StudyRealisation(table.title, point.index, point.replicate, point.values),
     )
     return replace(blank, cell=cell)
 
@@ -111,7 +111,7 @@ class _Scenarios:
         self._scenario = base
         self._point: tuple[Point, Scenario] | None = None
 
-    def documents(self, point: StudyPoint) -> tuple[Files, int]:
+    def documents(self, point: StudyPoint) -> tuple[ScenarioDocuments, int]:
         """Of the scenario of a point its documents and its steps."""
         same = self._point is not None and self._point[0] == point.values
         if self._point is None or not same or point.of_replicate.keys() - {SEED}:

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
-from dpbench.bench.record.cell import SLOWEST, Fallback, Units
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
@@ -32,6 +33,15 @@ def _off_or_slower(value: float) -> float:
     return value
 
 
+def _known_fallback(name: str) -> str:
+    if name not in FALLBACKS:
+        raise ValueError(" | ".join(map(repr, FALLBACKS)))
+    return name
+
+
+Fallback = Annotated[
+    str, AfterValidator(_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+]
 Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
 
 
@@ -70,7 +80,7 @@ class ClosedLoopTable(RunsTable):
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
     """Forms of the QP a solver is given."""
-    fallback: Fallback = "shifted_plan"
+    fallback: Fallback = DEFAULT_FALLBACK
     """What acts where there is no usable answer."""
     backup: str = ""
     """Second solver that is asked first where there is no usable answer in time; "" for none."""
@@ -330,8 +340,7 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    # Files of version 0.1 say "hunt" for it.
-    worst_case = {key: meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}")) for key in _WAY}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _WAY}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
     if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
@@ -344,10 +353,9 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
 
 def _searched_step(meta: Mapping[str, object]) -> ReportTable:
     """The step that a search found, and for whom; an empty table where the file does not say."""
-    step = meta.get("worst_case_step", meta.get("hunt_step"))
-    solver = meta.get("worst_case_solver", meta.get("hunt_solver"))
+    step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    way = [str(meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}"))) for key in _WAY]
+    way = [str(meta.get(f"worst_case_{key}")) for key in _WAY]
     settings = "" if way[2] == "default" else f", {way[2]}"
     return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")

@@ -5,22 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, Literal
 
+from dpbench.bench.record.qp_source import CONTROLLER, HardestSource, QPSource, source_from
 from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Units = Literal["scaled", "si"]
-Fallback = Literal["shifted_plan", "hold", "clip"]
 FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
-FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+DEFAULT_FALLBACK = "shifted_plan"
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
-HARDEST = "hardest"
-"""The kind of a source that is a window of the loop of the scenario, around its hardest step."""
 _PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
 _OPTIONAL = (
     "source",
@@ -32,6 +31,21 @@ _OPTIONAL = (
     "backup",
     "memory_gb",
 )
+
+
+@dataclass(frozen=True)
+class StudyRealisation:
+    """What of a study a closed loop is: its name, a point and a replicate of it.
+
+    Parameters
+    ----------
+    x : values of the point's keys, by their dotted names.
+    """
+
+    name: str
+    point: int
+    replicate: int
+    x: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -52,7 +66,7 @@ class Cell:
     budget_s : replay only: run time after which the rounds that are left are left out, once
         `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
     repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
-    fallback : what acts when there is no usable answer.
+    fallback : the policy that acts when there is no usable answer, of `FALLBACKS`.
     backup : closed loop only: the second solver that steps in before the fallback does
         (`bench/run/backup.py`); "" for none.
     slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
@@ -60,15 +74,13 @@ class Cell:
         and for the whole sample (`slow_computer.py`).
     seed : of the order of configurations within a round.
     solver_module : file of the plug-in that brings the solver; "" for none.
-    source : replay only: what its QPs are made from where they are not those of `steps` steps of
-        the scenario's controller from `first` on; its `kind`, the `name` of the sequence, and
-        whatever else `source.py` needs.
-    study : closed loop of a study only: its `name`, the `point` and `replicate` it stands for, and
-        `x`, the values of the point's keys by their dotted names.
+    source : replay only: what its QPs are made from; by default the scenario's controller, from
+        `first` on.
+    study : closed loop of a study only.
     """
 
     mode: Literal["closed_loop", "replay"]
-    scenario: dict[str, Any]
+    scenario: ScenarioDocuments
     solver: str
     route: Route
     policy: Policy
@@ -80,11 +92,11 @@ class Cell:
     rounds: int = 0
     warmup_steps: int = 0
     limit_s: float = 5.0
-    fallback: Fallback = "shifted_plan"
+    fallback: str = DEFAULT_FALLBACK
     seed: int = 0
     solver_module: str = ""
-    source: dict[str, Any] = field(default_factory=dict)
-    study: dict[str, Any] = field(default_factory=dict)
+    source: QPSource = CONTROLLER
+    study: StudyRealisation | None = None
     slowdown: float = 0.0
     deadline_s: float = 0.0
     budget_s: float = 0.0
@@ -100,7 +112,7 @@ class Cell:
         if self.mode == "replay":
             return name
         backup = [f"backup {self.backup}"] if self.backup else []
-        unusual = backup + [self.fallback] * (self.fallback != "shifted_plan")
+        unusual = backup + [self.fallback] * (self.fallback != DEFAULT_FALLBACK)
         return f"{name} ({', '.join(unusual)})" if unusual else name
 
     @property
@@ -108,26 +120,39 @@ class Cell:
         """Name of the replayed sequence; empty in closed loop."""
         if self.mode == "closed_loop":
             return ""
-        if self.source:
-            return str(self.source["name"])
+        if self.source != CONTROLLER:
+            return self.source.name
         whole = self.first == 0
         last = self.first + self.steps
         return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
 
     @property
-    def is_of_controller(self) -> bool:
-        """Whether its QPs are those of the scenario's controller."""
-        return not self.source or self.is_window
+    def is_timed(self) -> bool:
+        """Whether it is a replay whose times are compared."""
+        return self.mode == "replay" and self.source.is_timed
 
     @property
     def is_window(self) -> bool:
         """Whether it replays the hardest steps of a stretch."""
-        return self.source.get("kind") == HARDEST
+        return isinstance(self.source, HardestSource)
+
+    @property
+    def last_step(self) -> int:
+        """The sample behind the last that it needs of its source."""
+        return self.first + self.source.stretch(self.steps)
+
+    def source_key(self, harness_version: str) -> str:
+        """Equal for cells that share the file behind their QPs."""
+        # A loop is solved once, whatever is made of it.
+        return _digest([self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION])[
+            :12
+        ]
 
     @property
     def problem_key(self) -> str:
         """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        return _problem_key(self._description())
+        description = self._description()
+        return _digest([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
@@ -136,7 +161,9 @@ class Cell:
 
     def _description(self) -> dict[str, Any]:
         """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
-        return {k: v for k, v in vars(self).items() if k not in _OPTIONAL or v}
+        study = {} if self.study is None else vars(self.study)
+        values = vars(self) | {"source": self.source.to_dict(), "study": study}
+        return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
         """The description as JSON."""
@@ -145,7 +172,11 @@ class Cell:
     @classmethod
     def from_json(cls, text: str) -> Cell:
         """The cell that `to_json` described."""
-        return cls(**json.loads(text))
+        values = json.loads(text)
+        values["source"] = source_from(values.get("source", {}))
+        if "study" in values:
+            values["study"] = StudyRealisation(**values["study"])
+        return cls(**values)
 
     def with_settings(self, name: str) -> Cell:
         """The same cell under another name of its settings."""
@@ -155,15 +186,6 @@ class Cell:
         """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
         description = self._description()
         return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
-
-
-def problem_key_of(text: str) -> str:
-    """The `problem_key` of a cell by what `to_json` made of it, in whatever release."""
-    return _problem_key(json.loads(text))
-
-
-def _problem_key(description: Mapping[str, Any]) -> str:
-    return _digest([description.get(name) for name in _PROBLEM])
 
 
 def _digest(value: object) -> str:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 
 from dpbench.bench.record.cell import Formulation, Units
 from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.record import LEVELS
 
 COMMON: Formulation = "condensed_box"
 """The formulation that solvers are compared in."""
 COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
 """The columns of `runs.parquet` that name a configuration."""
-SETTINGS_LEVELS = ("default", "low", "mid", "high")
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,6 @@ class Configuration:
 
 def settings_level(settings: str) -> tuple[int, str]:
     """Sort key of a settings level, the most usual first."""
-    known = settings in SETTINGS_LEVELS
-    level = SETTINGS_LEVELS.index(settings) if known else len(SETTINGS_LEVELS)
+    known = settings in LEVELS
+    level = LEVELS.index(settings) if known else len(LEVELS)
     return level, settings

@@ -1,81 +1,96 @@
-"""What `machine.json` and `suite.json` have to contain for readers: keys, and types of values.
+"""What `machine.json` and `suite.json` contain: keys, and types of values.
 
-Any key may be missing but the ones without a default, and further ones may be there: earlier
-releases wrote fewer, later ones may write more.
+Any key may be missing but the required ones, and further ones may be there: earlier releases wrote
+fewer, later ones may write more.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Required, TypeVar
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
 from dpbench.errors import ResultsError
 
 _Kind = TypeVar("_Kind")
+_OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+class ComparedMachine(TypedDict, total=False):
+    """What makes times of two machines comparable."""
+
+    cpu_model: str
+    cores: int
+    memory_GiB: int
+    kernel: str
+    python: str
+    versions: dict[str, str]
 
 
-class MachineFile(_Table):
-    """`machine.json`."""
+@with_config(_OPEN)
+class MachineDescription(ComparedMachine, total=False):
+    """`machine.json`; `others` are machines of which cells were gathered too."""
 
-    id: str
-    cpu_model: str = ""
-    cores: int = 0
-    governor: str = ""
-    throttle_counters: str = ""
-    python: str = ""
-    versions: dict[str, str] = {}
-    affinity: list[int] | None = None
-    blas: list[str] | None = None
-    others: list[dict[str, Any]] = []
-
-
-class _Demand(_Table):
-    error_move: float = 0.0
-    failed_steps: int = 0
-    p99_ms: float = 0.0
-    deadline_ms: float = 0.0
+    id: Required[str]
+    governor: str
+    frequency_MHz: float | str
+    blas: list[str] | None
+    throttle_counters: str
+    affinity: list[int] | None
+    clock_read_ns: float
+    timer_resolution_ns: float
+    load_average: list[float]
+    others: list[MachineDescription]
 
 
-class _Report(_Table):
-    baseline: str | None = None
-    step: int | None = None
-    configuration: str | None = None
+class _Demand(TypedDict, total=False):
+    error_move: float
+    failed_steps: int
+    p99_ms: float
+    deadline_ms: float
 
 
-class _Study(_Table):
-    base: str
-    name: str | None = None
-    radius_m: float = 0.0
+class _Report(TypedDict, total=False):
+    baseline: str | None
+    step: int | None
+    configuration: str | None
 
 
-class _Revision(_Table):
+class StudyDescription(TypedDict, total=False):
+    """A `[[study]]` of `suite.json`."""
+
+    base: Required[str]
+    name: str | None
+    radius_m: float
+
+
+class RevisionDescription(TypedDict):
+    """A revision of dpbench."""
+
     commit: str
     clean: bool
 
 
-class SuiteFile(_Table):
+@with_config(_OPEN)
+class SuiteDescription(TypedDict, total=False):
     """`suite.json`."""
 
-    name: str = ""
-    title: str = ""
-    harness_version: str = ""
-    started_utc: str = ""
-    run_rows: int
-    step_rows: int
-    lost_cells: int = 0
-    lost_designs: int = 0
-    remarks: list[str] = []
-    revisions: list[_Revision] = []
-    demand: _Demand = _Demand()
-    report: _Report = _Report()
-    study: list[_Study] = []
+    name: str
+    title: str
+    harness_version: str
+    started_utc: str
+    run_rows: Required[int]
+    step_rows: Required[int]
+    lost_cells: int
+    lost_designs: int
+    remarks: list[str]
+    revisions: list[RevisionDescription]
+    demand: _Demand
+    report: _Report
+    study: list[StudyDescription]
 
 
 def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:

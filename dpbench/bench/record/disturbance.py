@@ -86,13 +86,14 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
     """The columns on what disturbed a replay: sums over the rounds that count.
 
     Of a round that was run again, the last attempt counts; `rerun_rounds` says how many were.
-    `solve_s` is the time of the steps of the same rounds.
+    `solve_s` is the time of the steps of the same rounds, less what they waited for the core.
     """
     whole = np.flatnonzero(log.done[1:] > 0) + 1
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
     measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
     sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
-    metrics["solve_s"] = 1e-9 * float(step_ns(log.times[measured]).sum()) if measured else np.nan
+    own_ns = step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
+    metrics["solve_s"] = 1e-9 * float(own_ns.sum()) if measured else np.nan
     return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
 
 

@@ -10,10 +10,11 @@ import platform
 import time
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import psutil
 from threadpoolctl import threadpool_info
+
+from dpbench.bench.record.descriptions import ComparedMachine, MachineDescription
 
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
@@ -42,16 +43,16 @@ def clock_read_ns() -> tuple[float, int]:
     return float(steps[len(steps) // 2]), next((s for s in steps if s > 0), 0)
 
 
-def describe_machine() -> dict[str, Any]:
+def describe_machine() -> MachineDescription:
     """What `machine.json` holds; `id` hashes what makes timings comparable.
 
     The id covers CPU model, cores, memory, kernel release, Python and the libraries every
     configuration uses; a solver's own version is part of each cell's key instead.
     """
     read_cost, resolution = clock_read_ns()
-    lasting: dict[str, Any] = {
+    lasting: ComparedMachine = {
         "cpu_model": _cpu_model(),
-        "cores": os.cpu_count(),
+        "cores": os.cpu_count() or 1,
         "memory_GiB": round(psutil.virtual_memory().total / 2**30),
         "kernel": f"{platform.system()} {platform.release()}",
         "python": f"{platform.python_implementation()} {platform.python_version()}",
@@ -60,7 +61,7 @@ def describe_machine() -> dict[str, Any]:
     digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
     return {
         "id": digest[:12],
-        **lasting,
+        **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
         "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
         "frequency_MHz": _frequency(),
         "blas": _blas(),

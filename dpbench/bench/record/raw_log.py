@@ -122,6 +122,7 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
         "status": ("i8", (rounds, steps)),
         "iterations": ("i8", (rounds, steps)),
         "reported_ns": ("i8", (rounds, steps)),
+        "waited_ns": ("i8", (rounds, steps)),
         "z": ("f8", (rounds, steps, n)),
         "y": ("f8", (rounds, steps, m)),
         "y_box": ("f8", (rounds, steps, n)),
@@ -139,6 +140,7 @@ class AnswerLog:
     status: Ints
     iterations: Ints
     reported_ns: Ints
+    waited_ns: Ints
     z: Floats
     y: Floats
     y_box: Floats

@@ -3,9 +3,8 @@
     scan    all runs that are wanted, in the order of the table, some hundred thousand rows each
     of      one run, wherever it stands
 
-A file is read row group by row group, and of each the columns alone that are asked for, or that
-what is asked for follows from; row groups without a wanted run are not read. So memory is that of
-one row group, however many runs there are.
+A file is read row group by row group, and of each the columns alone that are asked for; row groups
+without a wanted run are not read. So memory is that of one row group, however many runs there are.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,29 +21,19 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.schema import (
-    ADDED,
-    DERIVED,
-    RENAMED,
-    STEP_COLUMNS,
-    Columns,
-    as_columns,
-    as_steps,
-)
+from dpbench.bench.record.schema import STEP_COLUMNS, Columns, as_columns, as_steps
 from dpbench.bench.record.step_table import (
-    ARROW,
-    OF_CLOCK,
-    OF_FILE,
-    WORDS,
-    is_complete,
-    needed_for,
-    of_runs,
-    with_derived,
+    FILE_SCHEMA,
+    STRING_COLUMNS,
+    absent_column,
+    filter_runs,
 )
-from dpbench.errors import ResultsError, renamed
-from dpbench.files.tables import in_full, opened_table
+from dpbench.errors import ResultsError
+from dpbench.files.tables import opened_table
 
 ALL = tuple(STEP_COLUMNS)
+KEYS = {"run_id", "repeat", "k"}
+"""The columns that name a step, without which a table is none of steps."""
 KEPT_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
 
@@ -117,56 +105,32 @@ class StepsInMemory(StepTable):
         return places_of(self._frame["run_id"])
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """The runs that begin in a row group, and the groups that hold them: that one alone, unless an
-    early release cut the last run in two. Of each run the first row and the one behind its last."""
-
-    groups: list[int]
-    places: dict[str, tuple[int, int]]
-
-    @property
-    def rows(self) -> slice:
-        """Where they stand."""
-        places = list(self.places.values())
-        return slice(places[0][0], places[-1][1])
-
-    def goes_on(self, rows: int, group: int, in_group: int) -> _Piece:
-        """With `in_group` rows more of its last run, in a group behind its `rows` rows."""
-        last = list(self.places)[-1]
-        longer = self.places[last][0], rows + in_group
-        return _Piece([*self.groups, group], self.places | {last: longer})
-
-
 class StepsOnDisk(StepTable):
     """The rows of the `steps.parquet` of a result folder.
 
     Raises
     ------
-    ResultsError : the file is missing or damaged, or lacks a column, or one is of another type.
+    ResultsError : the file is missing or damaged, or lacks a key, or a column is of another type.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._path = folder, folder / "steps.parquet"
+        self._path = folder / "steps.parquet"
         with readable(self._path), opened_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
-        self._stored = {RENAMED.get(name, name): name for name in schema.names}
-        self._complete = is_complete(self._stored)
+        self._stored = set(schema.names)
         self._check(schema)
-        self._read = lru_cache(maxsize=KEPT_GROUPS)(self._piece)
+        self._read = lru_cache(maxsize=KEPT_GROUPS)(self._group)
 
     def tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
         """As `scan`, as Arrow tables."""
-        for piece in self._pieces:
-            names = piece.places if run_ids is None else [n for n in piece.places if n in run_ids]
+        for group, places in enumerate(self._places):
+            names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
-                rows = piece.rows
-                table = self._table(piece.groups, columns)
-                table = table.slice(rows.start, rows.stop - rows.start)
-                if len(names) < len(piece.places):
-                    table = of_runs(table, set(names))
+                table = self._table(group, columns)
+                if len(names) < len(places):
+                    table = filter_runs(table, set(names))
                 yield table.select(list(columns))
 
     def scan(
@@ -178,11 +142,11 @@ class StepsOnDisk(StepTable):
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
         """Out of its row group, which is kept for the runs beside it."""
-        at = self._piece_of.get(run_id)
-        if at is None:
+        group = self._group_of.get(run_id)
+        if group is None:
             return as_columns(pd.DataFrame(), _chosen(columns))
-        first, end = self._pieces[at].places[run_id]
-        return self._read(at, tuple(columns)).iloc[first:end]
+        first, end = self._places[group][run_id]
+        return self._read(group, tuple(columns)).iloc[first:end]
 
     def frame(self) -> pd.DataFrame:
         """The whole file."""
@@ -190,61 +154,41 @@ class StepsOnDisk(StepTable):
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check(self, schema: pa.Schema) -> None:
-        """That the file has the columns of a step table, of their types."""
-        wanted = set(STEP_COLUMNS) - ADDED - (set() if self._complete else set(DERIVED))
-        missing = sorted(wanted - set(self._stored))
+        """Refuse a file without the keys of a step table, or with columns of other types."""
+        missing = sorted(KEYS - self._stored)
         if missing:
             raise lacking(self._path, missing)
-        old = [name for name in self._stored.values() if name in RENAMED]
-        if old:
-            now = ", ".join(RENAMED[name] for name in old)
-            renamed(str(self._path), f"column {', '.join(old)}", now)
-        for name, stored in self._stored.items():
-            if name in STEP_COLUMNS and not _fits(schema.field(stored).type, name):
-                raise of_another_type(self._path, f"{stored}: {schema.field(stored).type}")
+        for name in STEP_COLUMNS.keys() & self._stored:
+            if not _fits(schema.field(name).type, name):
+                raise of_another_type(self._path, f"{name}: {schema.field(name).type}")
 
     @cached_property
-    def _pieces(self) -> list[_Piece]:
-        pieces: list[_Piece] = []
-        rows = 0
+    def _places(self) -> list[dict[str, tuple[int, int]]]:
+        """Of each row group the first row of each run, and the row behind its last."""
         with readable(self._path), pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file:
-            for group in range(file.num_row_groups):
-                names = file.read_row_group(group, columns=["run_id"])["run_id"]
-                places = places_of(names.combine_chunks().to_pandas())
-                if pieces and (last := list(pieces[-1].places)[-1]) in places:
-                    pieces[-1] = pieces[-1].goes_on(rows, group, places.pop(last)[1])
-                    rows += len(names)
-                if places:
-                    pieces.append(_Piece([group], places))
-                    rows = len(names)
-        return pieces
+            groups = [
+                file.read_row_group(group, columns=["run_id"])["run_id"]
+                for group in range(file.num_row_groups)
+            ]
+            return [places_of(names.combine_chunks().to_pandas()) for names in groups]
 
     @cached_property
-    def _piece_of(self) -> dict[str, int]:
-        return {name: at for at, piece in enumerate(self._pieces) for name in piece.places}
+    def _group_of(self) -> dict[str, int]:
+        return {name: group for group, places in enumerate(self._places) for name in places}
 
-    def _piece(self, at: int, columns: tuple[str, ...]) -> pd.DataFrame:
-        return _as_frame(self._table(self._pieces[at].groups, columns), columns)
+    def _group(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
+        return _as_frame(self._table(group, columns), columns)
 
-    def _table(self, groups: list[int], columns: Sequence[str]) -> pa.Table:
-        """Some columns of some row groups, and `run_id`."""
+    def _table(self, group: int, columns: Sequence[str]) -> pa.Table:
+        """Some columns of a row group, and `run_id`; those that are in no file as missing."""
         asked = list(dict.fromkeys(["run_id", *columns]))
-        needed = asked if self._complete else needed_for(asked)
-        stored = {name: self._stored[name] for name in needed if name in self._stored}
-        with readable(self._path):
-            words = [self._stored[name] for name in WORDS]
-            with pq.ParquetFile(self._path, read_dictionary=words) as file:
-                table = file.read_row_groups(groups, columns=list(stored.values()))
-            table = table.select(list(stored.values())).rename_columns(list(stored))
-            for name in [name for name in needed if name not in stored]:
-                missing = pa.nulls(len(table), ARROW[STEP_COLUMNS[name][0]])
-                table = table.append_column(name, missing)
-            return table if self._complete else with_derived(table, asked, self._clock)
-
-    @cached_property
-    def _clock(self) -> pd.DataFrame:
-        """`OF_CLOCK` by run_id; where the runs cannot be read, none."""
-        return read_clock(self._folder)
+        stored = [name for name in asked if name in self._stored]
+        strings = [name for name in STRING_COLUMNS if name in stored]
+        with readable(self._path), pq.ParquetFile(self._path, read_dictionary=strings) as file:
+            table = file.read_row_group(group, columns=stored)
+        for name in [name for name in asked if name not in self._stored]:
+            table = table.append_column(name, absent_column(STEP_COLUMNS[name][0], len(table)))
+        return table.select(asked)
 
 
 def scan_steps(
@@ -257,7 +201,7 @@ def scan_steps(
 
     Parameters
     ----------
-    columns : of `STEP_COLUMNS`; only what these are made from is read.
+    columns : of `STEP_COLUMNS`; only these are read.
     run_ids : only the steps of these runs; None for all.
 
     Raises
@@ -274,18 +218,7 @@ def read_steps(
     tables = list(scan_steps(out, columns, run_ids))
     if tables:
         return pa.concat_tables(tables).unify_dictionaries()
-    return pa.table({name: pa.array([], OF_FILE.field(name).type) for name in columns})
-
-
-def read_clock(folder: Path) -> pd.DataFrame:
-    """The columns of `runs.parquet` that times of steps follow from, by run_id."""
-    path = folder / "runs.parquet"
-    with readable(path):
-        with opened_table(path, error=ResultsError) as file:
-            wanted = [name for name in ("run_id", *OF_CLOCK) if name in file.schema_arrow.names]
-            table = in_full(file.read(columns=wanted), path, error=ResultsError)
-        clock: pd.DataFrame = table.to_pandas(ignore_metadata=True)
-        return clock.set_index("run_id")
+    return pa.table({name: pa.array([], FILE_SCHEMA.field(name).type) for name in columns})
 
 
 @contextmanager
@@ -328,7 +261,9 @@ def _chosen(columns: Sequence[str]) -> Columns:
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     """Some columns of a table with the types of the schema; the few words stay a word each."""
     whole = {pa.int64(): pd.Int64Dtype()}
-    frame: pd.DataFrame = table.select(list(columns)).to_pandas(types_mapper=whole.get)
+    # What pandas noted of the types is not followed, as others may have written it.
+    some = table.select(list(columns)).replace_schema_metadata(None)
+    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get)
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns

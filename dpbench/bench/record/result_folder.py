@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.record.descriptions import MachineFile, SuiteFile, validated
+from dpbench.bench.record.descriptions import MachineDescription, SuiteDescription, validated
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
@@ -26,16 +26,8 @@ from dpbench.bench.record.recorded_steps import (
     readable,
 )
 from dpbench.bench.record.run_checks import check_runs
-from dpbench.bench.record.schema import (
-    ADDED,
-    READABLE,
-    RENAMED,
-    RUN_COLUMNS,
-    SCHEMA_VERSION,
-    as_runs,
-    as_steps,
-)
-from dpbench.errors import InputError, ResultsError, renamed
+from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
@@ -55,8 +47,8 @@ class Results:
 
     runs: pd.DataFrame
     recorded: StepTable
-    machine: dict[str, Any]
-    suite: dict[str, Any]
+    machine: MachineDescription
+    suite: SuiteDescription
 
     @cached_property
     def steps(self) -> pd.DataFrame:
@@ -131,7 +123,7 @@ def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  #
         yield
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
+def write_json(path: Path, document: Mapping[str, object]) -> None:
     """Write `document` to `path`, whole or not at all."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
@@ -176,19 +168,17 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     return results
 
 
-def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
     """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
     damaged."""
-    machine = read_json(folder / "machine.json")
-    validated(machine, MachineFile, folder / "machine.json")
-    return machine, read_suite(folder)
+    path = folder / "machine.json"
+    return validated(read_json(path), MachineDescription, path), read_suite(folder)
 
 
-def read_suite(folder: Path) -> dict[str, Any]:
+def read_suite(folder: Path) -> SuiteDescription:
     """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
-    suite = read_json(folder / "suite.json")
-    validated(suite, SuiteFile, folder / "suite.json")
-    return suite
+    path = folder / "suite.json"
+    return validated(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
@@ -196,20 +186,14 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     with readable(path), opened_table(path, error=ResultsError) as file:
         table = in_full(file.read(), path, error=ResultsError)
         # What pandas noted of the types is not followed: those of the schema are asked for below.
-        frame = table.to_pandas(ignore_metadata=True)
-    if "schema" in frame:
-        versions = set(frame["schema"].unique().tolist())
-        if versions - READABLE:
-            # Said before its columns are looked at: those of another schema are others.
-            found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
-            raise ResultsError(str(path), "schema", found, allowed)
-    old = {column: RENAMED[column] for column in frame.columns if column in RENAMED}
-    if old:
-        renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
-        frame = frame.rename(columns=old)
-    missing = sorted(set(RUN_COLUMNS) - set(frame.columns) - ADDED)
-    if missing:
+        frame = table.replace_schema_metadata(None).to_pandas()
+    if missing := sorted({"run_id", "schema"} - set(frame.columns)):
         raise lacking(path, missing)
+    others = sorted(set(frame["schema"].unique().tolist()) - {SCHEMA_VERSION})
+    if others:
+        # Said before its columns are looked at: those of another schema are others.
+        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
+        raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = as_runs(frame)
     except (ValueError, TypeError) as error:

@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from dpbench.bench.record.descriptions import SuiteDescription
+
 Revision = dict[str, Any]
 """`commit`, the full hash, and `clean`: whether the files of the package were those of the commit;
 empty where neither a checkout nor an installer tells."""
@@ -47,7 +49,7 @@ def revisions(earlier: list[Revision], now: Revision) -> list[Revision]:
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 
-def revision_text(suite: dict[str, Any]) -> str:
+def revision_text(suite: SuiteDescription) -> str:
     """The revisions that `suite.json` names, in words; empty where it names none."""
     named = [
         f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
@@ -56,7 +58,7 @@ def revision_text(suite: dict[str, Any]) -> str:
     return f"commit {', '.join(named)}" if named else ""
 
 
-def made_by(suite: dict[str, Any]) -> str:
+def made_by(suite: SuiteDescription) -> str:
     """The dpbench that made a run, by what `suite.json` says: its version and revisions."""
     version = f"dpbench {suite.get('harness_version', '')}"
     return ", ".join(filter(None, (version, revision_text(suite))))

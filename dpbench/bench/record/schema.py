@@ -7,23 +7,12 @@ integer), never a made-up one.
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 6
-READABLE = frozenset({4, 5, 6})
-"""Schemas whose tables are read: those of 4 call some columns otherwise, and those of 4 and 5 store
-what is derived from other columns since."""
-RENAMED = {
-    "spoilt": "disturbed",
-    "spoilt_rounds": "disturbed_rounds",
-    "counting_spoilt": "counting_disturbed",
-    "probe_ns": "reference_kernel_ns",
-    "load_ns": "load_kernel_ns",
-}
-"""Old names of columns that are still read, with what they are called now."""
+SCHEMA_VERSION = 7
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
@@ -58,6 +47,11 @@ STEP_COLUMNS: Columns = {
     ),
     "overhead_ns": ("Int64", "whole closed-loop step less total_ns; null in replay"),
     "reported_ns": ("Int64", "the solver's own figure"),
+    "waited_ns": (
+        "Int64",
+        "part of total_ns in which the step was ready to run and the machine ran something else; "
+        "null where the kernel does not show it",
+    ),
     "latency_ns": (
         "Int64",
         "time of the answer on the slow computer; null without, or where no computation began",
@@ -280,8 +274,8 @@ MACHINE_COLUMNS: Columns = {
     "throttle_events": ("float64", "thermal throttle events of that core; NaN if not visible"),
     "solve_s": (
         "float64",
-        "sum of the step times over the same rounds, or over a closed loop; with `thread_s` it "
-        "shows who works outside the timed calls",
+        "sum of the step times over the same rounds, or over a closed loop, less `waited_ns`; with "
+        "`thread_s` it shows who works outside the timed calls",
     ),
     "thread_s": (
         "float64",
@@ -388,68 +382,7 @@ RUN_COLUMNS = (
 )
 
 
-ADDED = frozenset(
-    {
-        "study",
-        "study_point",
-        "replicate",
-        "concurrency",
-        "thrust_share",
-        "power_share",
-        "thrust_variation",
-        "azimuth_travel_deg",
-        "thrust_reversals",
-        "at_rate_thrusters",
-        "at_limit_thrusters",
-        "allocation_ns",
-        "allocation_error",
-        "undelivered_share",
-        "controller_p50_ns",
-        "controller_p99_ns",
-        "allocation_p50_ns",
-        "allocation_p99_ns",
-        "sample_s",
-        "first_sample",
-        "every_sample",
-        "raw_p90_ns",
-        "controller_p90_ns",
-        "allocation_p90_ns",
-        "first_visit_excess",
-        "loop_tail_ratio",
-        "solve_s",
-        "thread_s",
-        "backup",
-        "backup_failed",
-        "backup_ns",
-        "backup_error",
-        "backup_asked",
-        "backup_acted",
-        "backup_failures",
-        "backup_p50_ns",
-        "backup_max_ns",
-        "backup_error_max",
-        "process_peak_bytes",
-    }
-)
-"""Columns that files of earlier schemas have not: read as missing there."""
-
-SAME_AS = {
-    "primal_own": "primal",
-    "dual_own": "dual",
-    **{f"cmd_{axis}": f"tau_{axis}" for axis in AXIS_FORCES},
-}
-"""Columns of steps that are null in the file where they are equal, bit for bit, to another one."""
-DERIVED = {
-    "t_s": "(first_sample + every_sample·k)·sample_s, these three from `runs.parquet`",
-    "total_ns": "setup_ns + update_ns + solve_ns + read_ns + allocation_ns, of those that are "
-    "there; null where no phase is",
-    **{
-        f"dtau_{axis}": f"tau_{axis} less that of the row before; less 0 where k = 0"
-        for axis in AXIS_FORCES
-    },
-}
-"""Columns of steps that are in no file, and the formula by which every reader has them back, bit
-for bit (`step_table`)."""
+_PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
 def _missing(dtype: DType, rows: int) -> Any:
@@ -459,20 +392,21 @@ def _missing(dtype: DType, rows: int) -> Any:
 
 
 def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """`frame` with exactly these columns of their types; absent ones are missing."""
+    """Return `frame` with exactly these columns of their types; absent ones are missing."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
-    types = {dtype for dtype, _ in columns.values()}
-    absent = {dtype: _missing(dtype, len(frame)) for dtype in types}
+    absent = {
+        dtype: _missing(dtype, len(frame)) for dtype in {dtype for dtype, _ in columns.values()}
+    }
     out = {
-        name: _of_type(frame[name], absent[dtype].dtype) if name in frame else absent[dtype]
+        name: _of_type(frame[name], dtype) if name in frame else absent[dtype]
         for name, (dtype, _) in columns.items()
     }
     return pd.DataFrame(out, index=frame.index)
 
 
-def _of_type(column: pd.Series[Any], dtype: Any) -> Any:
-    # Asking for the type it has copies a column, and takes ten times as long as looking.
-    return column.array if column.dtype == dtype else column.astype(dtype).array
+def _of_type(column: pd.Series[Any], dtype: DType) -> Any:
+    # Converting a column to the type it has copies it, and takes ten times as long as looking.
+    return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:

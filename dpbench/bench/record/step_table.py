@@ -1,30 +1,26 @@
-"""Steps as Arrow: the columns a file stores of them, how they are written, and all of them again.
+"""Runs and steps as Arrow, with the columns and types of the two tables, and how they are written.
 
-A table is of whole runs, each in one piece and in the order of its steps. In a file no run lies in
-two row groups, so that each of these can be read by itself.
+A table of steps is of whole runs, each in one piece and in the order of its steps. In a file no run
+lies in two row groups, so that each of these can be read by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats, Ints
-from dpbench.bench.record.raw_log import OF_SOLVER
 from dpbench.bench.record.schema import (
     ABSENT,
-    DERIVED,
     RUN_COLUMNS,
-    SAME_AS,
     STEP_COLUMNS,
+    Columns,
     DType,
     as_runs,
 )
@@ -38,33 +34,67 @@ ARROW: dict[DType, pa.DataType] = {
     "Int64": pa.int64(),
     "float64": pa.float64(),
 }
-STORED = [name for name in STEP_COLUMNS if name not in DERIVED]
-"""The columns of `steps.parquet`."""
-NAMES = pa.dictionary(pa.int32(), pa.string())
-"""The type of words in memory: each is kept once for all its rows."""
-OF_STEPS = pa.schema([(n, ARROW[STEP_COLUMNS[n][0]]) for n in STORED[1:]])
-"""Stored steps of one run, which has its name elsewhere."""
-WORDS = [name for name in STORED if STEP_COLUMNS[name][0] == "str"]
-"""The columns of words: the same few over and over."""
-OF_FILE = pa.schema(
-    [(name, NAMES if name in WORDS else ARROW[STEP_COLUMNS[name][0]]) for name in STORED]
+CODED_STRING = pa.dictionary(pa.int32(), pa.string())
+"""The type of strings in memory: each is stored once for all its rows."""
+STRING_COLUMNS = [name for name, (dtype, _) in STEP_COLUMNS.items() if dtype == "str"]
+"""The columns of strings: the same few over and over."""
+STEPS_SCHEMA = pa.schema([(n, ARROW[t]) for n, (t, _) in STEP_COLUMNS.items() if n != "run_id"])
+"""Steps of one run, which has its name elsewhere."""
+FILE_SCHEMA = pa.schema(
+    [(n, CODED_STRING if t == "str" else ARROW[t]) for n, (t, _) in STEP_COLUMNS.items()]
 )
-OF_RUNS = pa.schema([(name, ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
-_ENCODINGS = {
-    "float64": "BYTE_STREAM_SPLIT",
-    "Int64": "DELTA_BINARY_PACKED",
-    "int32": "DELTA_BINARY_PACKED",
-}
-"""Floats are split into planes of bytes, so that the even ones among them compress; of whole
-numbers the differences are stored."""
-INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
-"""The columns of the phases that are the solver's."""
-OF_CLOCK = ("sample_s", "first_sample", "every_sample")
-"""Columns of `runs.parquet` that the times of steps follow from."""
+RUNS_SCHEMA = pa.schema([(name, ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
+_SPLIT = [name for name, (dtype, _) in STEP_COLUMNS.items() if dtype not in ("str", "bool")]
+"""The columns of numbers: they are split into planes of bytes, so that the even ones among them
+compress."""
+_FILLERS: dict[DType, object] = {"str": "", "bool": False, "int32": 0, "int64": 0}
+"""What stands for a missing value in columns that have no null."""
+
+
+def absent_column(dtype: DType, rows: int) -> pa.Array:
+    """Return a column of that type without a value in any row."""
+    return pa.repeat(pa.scalar(_FILLERS.get(dtype), ARROW[dtype]), rows)
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return the columns of `runs.parquet` that some of the rows have."""
+    there = {name for row in rows for name in row}
+    return {
+        name: [row.get(name, _FILLERS.get(dtype)) for row in rows]
+        for name, (dtype, _) in RUN_COLUMNS.items()
+        if name in there
+    }
+
+
+def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return columns of `runs.parquet` as a table of `RUNS_SCHEMA`; absent ones are missing.
+
+    Raises
+    ------
+    ValueError, TypeError, OverflowError : a value is of another type than its column.
+    """
+    rows = len(columns["run_id"])
+    arrays = [
+        pa.array(columns[name], ARROW[dtype], from_pandas=True)
+        if name in columns
+        else absent_column(dtype, rows)
+        for name, (dtype, _) in RUN_COLUMNS.items()
+    ]
+    return _without_gaps(pa.Table.from_arrays(arrays, schema=RUNS_SCHEMA))
+
+
+def _without_gaps(runs: pa.Table) -> pa.Table:
+    """Return a table of `RUNS_SCHEMA`; ValueError where a number is missing that no run lacks."""
+    gaps = [
+        n for n, (t, _) in RUN_COLUMNS.items() if t in ("int32", "int64") and runs[n].null_count
+    ]
+    if gaps:
+        raise ValueError(f"{gaps[0]}: no number")
+    return runs
 
 
 def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
-    """The stored columns of the steps of one run.
+    """Return the columns of the steps of one run.
 
     Parameters
     ----------
@@ -72,105 +102,118 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
         `ABSENT`, and a column that is not there has no value in any row.
     """
     rows = len(steps["k"])
-    arrays = [_array(name, steps, rows) for name in STORED[1:]]
-    return pa.RecordBatch.from_arrays(arrays, schema=OF_STEPS)
+    arrays = [_array(name, steps, rows) for name in STEPS_SCHEMA.names]
+    return pa.RecordBatch.from_arrays(arrays, schema=STEPS_SCHEMA)
 
 
 def no_steps() -> pa.RecordBatch:
-    """Those of a run that left none."""
-    return pa.RecordBatch.from_arrays([pa.array([], f.type) for f in OF_STEPS], schema=OF_STEPS)
+    """Return those of a run that left none."""
+    return pa.RecordBatch.from_arrays(
+        [pa.array([], field.type) for field in STEPS_SCHEMA], schema=STEPS_SCHEMA
+    )
 
 
 def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
     dtype = STEP_COLUMNS[name][0]
     if name not in steps:
-        return (
-            pa.array(np.zeros(rows, np.bool_)) if dtype == "bool" else pa.nulls(rows, ARROW[dtype])
-        )
+        return absent_column(dtype, rows)
     values = steps[name]
     if dtype == "Int64":
         return pa.array(values, pa.int64(), mask=values == ABSENT)
     if dtype != "float64":
         return pa.array(values, ARROW[dtype])
     numbers = np.ascontiguousarray(values, dtype=np.float64)
-    if name in SAME_AS:
-        # Equal bit for bit: a zero of the other sign, or another NaN, is another number here.
-        other = np.ascontiguousarray(steps[SAME_AS[name]], dtype=np.float64)
-        return pa.array(numbers, mask=numbers.view(np.int64) == other.view(np.int64))
     return pa.array(numbers, mask=np.isnan(numbers))
 
 
-def with_names(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
-    """One table of the steps of several runs, by their names."""
-    steps = pa.Table.from_batches(batches.values(), OF_STEPS)
+def concat_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
+    """Return one table of the steps of several runs, by their names."""
+    steps = pa.Table.from_batches(batches.values(), STEPS_SCHEMA)
     counts = [batch.num_rows for batch in batches.values()]
     codes = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     names = pa.DictionaryArray.from_arrays(codes, pa.array(list(batches), pa.string()))
-    for name in WORDS[1:]:
+    for name in STRING_COLUMNS[1:]:
         at = steps.schema.get_field_index(name)
         steps = steps.set_column(at, name, steps[name].dictionary_encode())
     return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
-def step_writer(path: Path) -> pq.ParquetWriter:
-    """Who writes a file of steps, each table of `OF_FILE` as one row group; each page carries its
-    check sum."""
-    types = {name: STEP_COLUMNS[name][0] for name in STORED}
-    return pq.ParquetWriter(
-        path,
-        OF_FILE,
+def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
+    """Return whole runs, of `FILE_SCHEMA`, as a Parquet file of one row group, in which each page
+    has its check sum."""
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        sink,
+        FILE_SCHEMA.with_metadata(metadata),
         compression="zstd",
-        use_dictionary=WORDS,
-        column_encoding={n: _ENCODINGS[t] for n, t in types.items() if t in _ENCODINGS},
+        use_dictionary=STRING_COLUMNS,
+        column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
-        # A table reads as what its columns are, in whatever program, not as what they were here.
-        store_schema=False,
-    )
+        # Of names that are hashes, and of numbers in no order, they help nobody to skip.
+        write_statistics=False,
+        # A table reads as what its columns are, in whatever program, not as what they were here;
+        # only with its schema are metadata written.
+        store_schema=metadata is not None,
+    ) as writer:
+        if table.num_rows:
+            whole = table.unify_dictionaries().combine_chunks()
+            writer.write_table(whole.replace_schema_metadata(metadata), row_group_size=len(table))
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
-def write_steps(writer: pq.ParquetWriter, table: pa.Table) -> None:
-    """Write whole runs as one row group."""
-    if table.num_rows:
-        writer.write_table(table, row_group_size=table.num_rows)
+def stored_steps(table: pa.Table) -> pa.Table:
+    """Return the columns of `FILE_SCHEMA` of a table of steps, those that are absent as missing;
+    ValueError, or one of Arrow, where they are of other types."""
+    return _completed(table, STEP_COLUMNS).cast(FILE_SCHEMA)
 
 
-def write_runs(path: Path, runs: pd.DataFrame, metadata: Mapping[str, str]) -> None:
-    """Write rows of `runs.parquet`, of its columns and types and with the keys of studies behind
-    them, whole or not at all.
+def _completed(table: pa.Table, columns: Columns) -> pa.Table:
+    for name in columns.keys() - set(table.column_names):
+        table = table.append_column(name, absent_column(columns[name][0], len(table)))
+    return table.select(list(columns))
+
+
+def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
+    """Write rows of `runs.parquet`, with the keys of studies behind its columns, whole or not at
+    all.
 
     Parameters
     ----------
-    metadata : kept beside them in the file.
+    metadata : stored beside them in the file.
     """
-    part, runs = new_file(path.with_name(f"{path.name}.part")), runs.reset_index(drop=True)
+    part = new_file(path.with_name(f"{path.name}.part"))
     try:
-        keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
-        schema = pa.schema([*OF_RUNS, *keys])
-        table = pa.Table.from_pandas(runs, schema, preserve_index=False)
-        table = table.replace_schema_metadata(dict(metadata))
+        table = runs.replace_schema_metadata(dict(metadata))
         pq.write_table(table, part, compression="zstd", write_page_checksum=True)
         put(part, path)
     finally:
         part.unlink(missing_ok=True)
 
 
+def runs_of_frame(frame: pd.DataFrame) -> pa.Table:
+    """Return a frame of runs as a table of `RUNS_SCHEMA`, with the keys of studies behind it."""
+    runs = as_runs(frame).reset_index(drop=True)
+    keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
+    schema = pa.schema([*RUNS_SCHEMA, *keys])
+    return pa.Table.from_pandas(runs, schema, preserve_index=False)
+
+
 def stored_runs(table: pa.Table) -> pa.Table:
-    """The columns of `OF_RUNS` of a table of runs; ValueError, or one of Arrow, where they are of
-    other types."""
-    if not set(OF_RUNS.names) <= set(table.column_names):
-        table = pa.Table.from_pandas(as_runs(table.to_pandas()), OF_RUNS, preserve_index=False)
-    return table.select(OF_RUNS.names).cast(OF_RUNS)
+    """Return the columns of `RUNS_SCHEMA` of a table of runs, those that are absent as missing;
+    ValueError, or one of Arrow, where they are of other types."""
+    return _without_gaps(_completed(table, RUN_COLUMNS).cast(RUNS_SCHEMA))
 
 
 def frame_of_runs(table: pa.Table) -> pd.DataFrame:
-    """A table of `OF_RUNS` as a frame, by run_id."""
+    """Return a table of `RUNS_SCHEMA` as a frame, by run_id."""
     whole = {pa.int64(): pd.Int64Dtype()}
     runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get))
     return runs.set_index("run_id", drop=False)
 
 
-def of_runs(table: pa.Table, names: Container[str]) -> pa.Table:
-    """The rows of those runs."""
+def filter_runs(table: pa.Table, names: Container[str]) -> pa.Table:
+    """Return the rows of those runs."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
     if not wanted.any():
@@ -179,109 +222,10 @@ def of_runs(table: pa.Table, names: Container[str]) -> pa.Table:
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
 
-def renamed_runs(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """The rows of those runs, under new names."""
-    some = of_runs(table, names)
+def rename_runs(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """Return the rows of those runs, under new names."""
+    some = filter_runs(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())
-    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(NAMES)
+    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(CODED_STRING)
     return some.set_column(0, "run_id", renamed)
-
-
-def is_complete(names: Collection[str]) -> bool:
-    """Whether a file with those columns has all of them, as those of earlier schemas have."""
-    return set(DERIVED) <= set(names)
-
-
-def needed_for(columns: Sequence[str]) -> list[str]:
-    """The stored columns that some columns of steps are made from, `run_id` among them."""
-    needed = {"run_id"}
-    for name in columns:
-        needed |= {name} - set(DERIVED)
-        if name in SAME_AS:
-            needed.add(SAME_AS[name])
-        if name == "t_s":
-            needed.add("k")
-        elif name == "total_ns":
-            needed |= {*INSIDE, "allocation_ns"}
-        elif name in DERIVED:
-            needed |= {"k", name.removeprefix("d")}
-    return [name for name in STORED if name in needed]
-
-
-def with_derived(table: pa.Table, columns: Sequence[str], clock: pd.DataFrame) -> pa.Table:
-    """The asked columns of a table of stored ones, those that follow from others among them.
-
-    Parameters
-    ----------
-    table : whole runs, with the columns of `needed_for(columns)`.
-    clock : `OF_CLOCK` by run_id.
-    """
-    return pa.table({name: _column(table, name, clock) for name in columns})
-
-
-def _column(table: pa.Table, name: str, clock: pd.DataFrame) -> pa.ChunkedArray | pa.Array:
-    if name in table.column_names:
-        stored = table[name]
-        return pc.coalesce(stored, table[SAME_AS[name]]) if name in SAME_AS else stored
-    if name == "total_ns":
-        total = total_of({n: _integers(table[n]) for n in (*INSIDE, "allocation_ns")})
-        return pa.array(total, mask=total == ABSENT)
-    k = table["k"].to_numpy()
-    if name == "t_s":
-        return pa.array(_times(table["run_id"], k, clock), from_pandas=True)
-    applied = table[name.removeprefix("d")].to_numpy()
-    return pa.array(change_of(applied, k), from_pandas=True)
-
-
-def _integers(column: pa.ChunkedArray) -> Ints:
-    whole: Ints = column.cast(pa.int64()).fill_null(ABSENT).to_numpy()
-    return whole
-
-
-def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> Floats:
-    """The times of steps (N,) of the runs `names` (N,)."""
-    coded = names.combine_chunks()
-    coded = coded if pa.types.is_dictionary(coded.type) else coded.dictionary_encode()
-    codes = coded.indices.to_numpy()
-    of_runs = clock.reindex(coded.dictionary.to_pandas())
-    sample_s, first, every = (
-        of_runs[name].to_numpy(np.float64, na_value=np.nan) for name in OF_CLOCK
-    )
-    known = ~np.isnan(first)
-    starts, strides = (np.where(known, n, 0.0).astype(np.int64)[codes] for n in (first, every))
-    return times_of(k, starts, strides, np.where(known, sample_s, np.nan)[codes])
-
-
-def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """(N,) the time of each step: of its phases, and of the second QP of a cascade.
-
-    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
-    is there.
-    """
-    phases = [steps[phase] for phase in INSIDE]
-    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
-    total = np.zeros(len(phases[0]), dtype=np.int64)
-    for part in parts:
-        total += np.maximum(part, 0)
-    total[np.maximum.reduce(phases) < 0] = ABSENT
-    return total
-
-
-def change_of(values: Floats, k: NDArray[Any]) -> Floats:
-    """(N,) change against the row before; against zero where a run begins, at k = 0."""
-    before = np.roll(values, 1)
-    before[k == 0] = 0.0
-    change: Floats = values - before
-    return change
-
-
-def times_of(
-    k: NDArray[Any],
-    first: Ints | int,
-    every: Ints | int,
-    sample_s: Floats | float,
-) -> Floats:
-    """(N,) time of each step k (N,) [s]: (first + every·k)·sample_s."""
-    t_s: Floats = (first + every * k) * sample_s
-    return t_s

@@ -6,10 +6,9 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.fallback import ThrusterLimit
+from dpbench.bench.run.limits import ThrusterLimit
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import (
-    UNFINISHED,
     Clock,
     TimedSolver,
     is_usable,
@@ -82,10 +81,10 @@ class Allocator:
         solution = solver.answer(step)
         spent_ns = self._clock() - t1
         answers.times[0, k] = (t1 - t0, *solver.phases_ns, -1)
-        record_answer(answers, 0, k, solution)
+        record_answer(answers, 0, k, solution, solver.waited_ns)
         answers.matrix_updates[0] = solver.matrix_updates
         if is_usable(solution):
-            return builder.moves(solution.z), solution.status in UNFINISHED, spent_ns
+            return builder.moves(solution.z), solution.status.is_unfinished, spent_ns
         solver.reset()
         return None, False, spent_ns
 

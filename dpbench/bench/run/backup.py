@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import BackupLog
-from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution
@@ -55,7 +55,7 @@ class Backup:
 
     def record(self, k: int, answer: Solution) -> Matrix | None:
         """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
-        record_answer(self.log, 0, k, answer)
+        record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
             return self._moves(answer.z)
@@ -80,7 +80,7 @@ class LoopWithBackup:
         self,
         solver: TimedSolver,
         backup: Backup,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         emit: Callable[[int, Vector, Vector], QPStep],
     ) -> None:
         self._solver, self._backup, self._law, self._emit = solver, backup, law, emit
@@ -92,6 +92,11 @@ class LoopWithBackup:
     def phases_ns(self) -> tuple[int, ...]:
         """Those of the solver: the time of the backup is none of its."""
         return self._solver.phases_ns
+
+    @property
+    def waited_ns(self) -> int:
+        """That of the solver."""
+        return self._solver.waited_ns
 
     @property
     def matrix_updates(self) -> int:
@@ -115,7 +120,7 @@ class LoopWithBackup:
         return solution
 
     def remember(self, plan: Matrix) -> Vector:
-        """As `FallbackLaw.remember`, of the solver's own plan."""
+        """As `FallbackPolicy.remember`, of the solver's own plan."""
         self.acted = False
         return self._law.remember(plan)
 

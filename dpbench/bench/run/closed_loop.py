@@ -16,20 +16,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.allocator import Allocator
 from dpbench.bench.run.backup import Backup, LoopWithBackup
-from dpbench.bench.run.fallback import FallbackLaw, limit_of
+from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
+from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import (
-    UNFINISHED,
     Clock,
     TimedSolver,
     is_usable,
     record_answer,
 )
+from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn
@@ -38,6 +38,8 @@ from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 Emit = Callable[[int, Vector, Vector], QPStep]
+Both = LoopWithBackup | SlowComputer
+"""What replaces solver and fallback in the loop."""
 
 
 @dataclass(slots=True, eq=False)
@@ -55,7 +57,7 @@ class ClosedLoopSetup:
     builder: QPBuilder
     solver: TimedSolver
     log: RawLog
-    fallback: Fallback
+    fallback: str
     limit_ns: int
     clock: Clock
     delay: ComputationalDelay | None = None
@@ -121,8 +123,8 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         np.add(u, du, out=log.command[k])
         clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
         u[...] = applied[k]
-        log.flags[k] = (law.acted, usable and solution.status in UNFINISHED, clipped)
-        record_answer(log, 0, k, solution)
+        log.flags[k] = (law.acted, usable and solution.status.is_unfinished, clipped)
+        record_answer(log, 0, k, solution, solver.waited_ns)
         if T_e is not None:
             if allocator is not None:
                 # As the overhead is what neither solver takes.
@@ -142,13 +144,14 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
 
 def _steering(
     setup: ClosedLoopSetup,
-) -> tuple[
-    TimedSolver | LoopWithBackup | SlowComputer, FallbackLaw | LoopWithBackup | SlowComputer, Emit
-]:
+) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
     """Return the objects that answer, act without an answer, and emit: one object for all three
     with a backup or on a slow computer."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
-    law = FallbackLaw(setup.fallback, builder.condensed)
+    control = builder.condensed.control
+    law = FALLBACKS[setup.fallback](
+        control.N_c, control.model.n_u, UnconstrainedLaw(builder.condensed)
+    )
     if setup.delay is not None and setup.delay.simulated:
         latency_ns = setup.log.latency_ns
         computer = SlowComputer(

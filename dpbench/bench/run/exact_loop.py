@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix
+from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
@@ -28,7 +29,8 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import Optimum, Referee, referee_of
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import Referee, referee_of
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn
@@ -191,7 +193,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, Box(base), clock)
     drawn = scenario.environment.drawn(scenario.steps, scenario.sample_s, SUBSTEPS)
-    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, "shifted_plan", 2**62, clock)
+    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)

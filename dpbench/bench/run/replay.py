@@ -154,7 +154,7 @@ class ReplayRun:
             step = solver.formulate(sequence.step(k))
             is_skipped = hung and k in hung
             solution = solver.missing(self._limit_ns) if is_skipped else solver.answer(step)
-            record_answer(log, r, k, solution)
+            record_answer(log, r, k, solution, solver.waited_ns)
             if not is_usable(solution):
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)

@@ -36,7 +36,7 @@ from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import spent_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError
@@ -113,7 +113,8 @@ class SlowComputer:
 
     Attributes
     ----------
-    phases_ns : as of `TimedSolver`, all −1 in a step in which no computation began.
+    phases_ns, waited_ns : as of `TimedSolver`, all −1 and 0 in a step in which no computation
+        began.
     acted : whether the last move was the fallback's or the backup's, and not one of an answer of
         the solver that is in time or arrived just now.
     """
@@ -123,7 +124,7 @@ class SlowComputer:
         delay: ComputationalDelay,
         solver: TimedSolver,
         builder: QPBuilder,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         latency_ns: Ints,
         usage: Usage,
         *,
@@ -131,6 +132,8 @@ class SlowComputer:
     ) -> None:
         self._delay, self._solver, self._builder, self._law = delay, solver, builder, law
         self._usage, self._latency_ns, self._backup = usage, latency_ns, backup
+        # Of an earlier process, which hung: its answers are repeated, so they come as late again.
+        self._recorded_ns = latency_ns.copy()
         latency_ns[:] = -1
         n, m, *_ = builder.sizes
         self._nothing = Solution.missing(n, m, Status.UNKNOWN)
@@ -148,7 +151,7 @@ class SlowComputer:
         # whether the late plan that comes or has arrived is its.
         self._in_place: Matrix | None = None
         self._stopped = self._of_backup = self._of_backup_arrived = False
-        self.phases_ns, self.acted = NOT_RUN, False
+        self.phases_ns, self.waited_ns, self.acted = NOT_RUN, 0, False
 
     @property
     def matrix_updates(self) -> int:
@@ -180,10 +183,10 @@ class SlowComputer:
     def answer(self, step: QPStep) -> Solution:
         """Solve, however long it takes; without a computation, no answer."""
         if self._busy:
-            self.phases_ns = NOT_RUN
+            self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
         solution, latency_ns = self._timed(self._solver, step)
-        self.phases_ns = self._solver.phases_ns
+        self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
@@ -202,6 +205,10 @@ class SlowComputer:
         solution = solver.answer(step)
         switches_after, used_after_ns = self._usage()
         step_ns = spent_ns(solver.phases_ns)
+        if solver.repeated:
+            recorded_ns = int(self._recorded_ns[self._k])
+            # The step that hung has none yet; it took its whole limit.
+            return solution, recorded_ns if recorded_ns >= 0 else self._delay.latency_ns(step_ns)
         if switches_after > switches:
             step_ns = min(step_ns, used_after_ns - used_ns)
         return solution, self._delay.latency_ns(step_ns)
@@ -259,7 +266,7 @@ class SlowComputer:
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
             self._backup_acts()
-        if self._plan is not None and (self._arrived or self._law.kind == "shifted_plan"):
+        if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u
             return to_plan

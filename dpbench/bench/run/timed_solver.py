@@ -18,13 +18,12 @@ import numpy as np
 
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
 from dpbench.bench.run.formulation import Formulated
+from dpbench.bench.run.run_delay import run_delay
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
-UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
-"""Of the usable answers those that are applied and marked."""
 STEP_SHARE = 0.25
 """Of the run time that a cell is allowed: what one step may take of it."""
 MOST_HANGS = 3
@@ -48,7 +47,8 @@ class TimedSolver:
     """The harness's side of a workspace: formulation, phases and failures of one solver.
 
     After `answer`, `phases_ns` holds set-up, update, solve and read of that step; −1 where a phase
-    did not take place.
+    did not take place. `waited_ns` is the part of them in which the machine ran something else, −1
+    where the kernel does not show it.
     """
 
     def __init__(self, workspace: Workspace, formulated: Formulated, clock: Clock) -> None:
@@ -60,9 +60,12 @@ class TimedSolver:
         # n and m of the QP in that formulation.
         self.size = formulated.base.n, formulated.base.m
         self.phases_ns = (-1, -1, -1, -1)
+        self.waited_ns, self._run_delay = 0, run_delay()
         self.details: dict[str, int] = {}
         # Set by the alarm, whatever became of what it raised.
         self.interrupted = ""
+        # Whether the last answer is the recorded one of an earlier process.
+        self.repeated = False
 
     @property
     def matrix_updates(self) -> int:
@@ -119,6 +122,8 @@ class TimedSolver:
             t1, t2, t3 = (now if t < 0 else t for t in (t1, t2, t3))
             detail = f"{type(error).__name__}: {error}"
             solution = Solution.missing(n, m, Status.ERROR, detail)
+        # Behind the clock. A wait before t0 counts too, which makes no step look slower.
+        self.waited_ns = min(self._run_delay.since_last(), t3 - t0)
         prepared = t1 - t0
         handed_over = (prepared, -1) if setup_every_step else (-1, prepared)
         self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
@@ -170,15 +175,16 @@ class TimedSolver:
 
     def missing(self, limit_ns: int) -> Solution:
         """The answer to a step in which an earlier process hung for so long and was killed."""
-        self.phases_ns = (-1, 0, limit_ns, 0)
+        self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
         answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
         self._count(HUNG)
         return self._formulated.solution(answer)
 
 
-def record_answer(log: AnswerLog, r: int, k: int, solution: Solution) -> None:
-    """Copy an answer into row (r, k) of the log."""
+def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns: int) -> None:
+    """Copy an answer into row (r, k) of the log, with the wait for the core in it [ns]."""
+    log.waited_ns[r, k] = waited_ns
     log.status[r, k] = solution.status
     log.iterations[r, k] = solution.iterations
     log.reported_ns[r, k] = solution.reported_ns
@@ -221,8 +227,8 @@ class ResumedSolver(TimedSolver):
 
     def answer(self, step: QPStep) -> Solution:
         """The recorded answer up to the step that hung, and the solver's own behind it."""
-        self._k += 1
-        k, answers = self._k, self._answers
+        k, answers = self._next(), self._answers
+        self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
             self.renew()
             if self._skips:
@@ -231,6 +237,7 @@ class ResumedSolver(TimedSolver):
             return super().answer(step)
         setup, update, solve, read = answers.times[0, k, _OWN].tolist()
         self.phases_ns = setup, update, solve, read
+        self.waited_ns = int(answers.waited_ns[0, k])
         return Solution(
             Status(int(answers.status[0, k])),
             answers.z[0, k].copy(),
@@ -239,6 +246,19 @@ class ResumedSolver(TimedSolver):
             int(answers.iterations[0, k]),
             int(answers.reported_ns[0, k]),
         )
+
+    def _next(self) -> int:
+        """The step that is answered now: a slow computer does not ask in every one."""
+        self._k += 1
+        while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
+            self._k += 1
+        return self._k
+
+    def warm_up(self, times: int) -> None:
+        """As inherited, by the solver itself."""
+        at, self._at = self._at, -1
+        super().warm_up(times)
+        self._at, self._k = at, -1
 
     def reset(self) -> None:
         """As inherited, of answers of its own."""

@@ -16,7 +16,7 @@ from dpbench.bench.sequences.recording import (
     thinned,
 )
 from dpbench.bench.sequences.sequence_file import Recorded
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.qp.referee.referee import certified
 from dpbench.scenario.horizons import Horizons, parse_horizons
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
@@ -81,9 +81,8 @@ def export(
 def check_asked(options: dict[str, Any]) -> None:
     """Either --all, with nothing that chooses, or WHAT and --out; InputError for anything else."""
     if not options["all"]:
-        for key, name in (("what", "WHAT"), ("out", "--out")):
-            if options[key] is None:
-                raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
+        if options["what"] is None or options["out"] is None:
+            raise SituationError("export", "name WHAT and its file by --out, or give --all")
         return
     defaults = {"every": 1, "format": "npz", "part": "controller"}
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):

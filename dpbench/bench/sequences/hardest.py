@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 
 
 def active_limits(optima: Sequence[Optimum]) -> Ints:

@@ -20,7 +20,8 @@ from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import opened
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.qp.referee.referee import Optimum, certified
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certified
 from dpbench.scenario.scenario import Scenario, scenario_of
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
@@ -60,12 +61,12 @@ def record(
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
-    return Recorded(sequence, certified(sequence), units, scenario.files)
+    return Recorded(sequence, certified(sequence), units, {**scenario.files})
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     """The same scenario under other horizons, its documents and its name included."""
-    files: dict[str, Any] = copy.deepcopy(scenario.files)
+    files = copy.deepcopy(scenario.files)
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 from zlib import ZLIB_RUNTIME_VERSION as ZLIB
 
 import numpy as np
@@ -33,11 +33,13 @@ from numpy.typing import NDArray
 from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
 from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
-from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, certified
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.scenario.problem_files import sequence_path
+
+if TYPE_CHECKING:
+    from dpbench.mpc.condense import UnitSystem
 
 FORMAT = "dpbench-sequence"
 FORMAT_VERSION = 1
@@ -86,7 +88,11 @@ def save_sequence(
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
-    optima = certified(scaled) if optima is None else optima
+    if optima is None:
+        # Reading a file takes no referee, whose kernels take longer to load than the file.
+        from dpbench.qp.referee.referee import certified
+
+        optima = certified(scaled)
     base = scaled.base
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {

@@ -13,7 +13,8 @@ from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.referee import Optimum, each_certified
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import each_certified
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -67,7 +67,7 @@ class NoProcessError(DpbenchError):
 def template_context(solvers: Iterable[str]) -> ForkServerContext:
     """The context whose processes are forked from the template (`template.py`), threads pinned.
 
-    The first one of a process decides for which of this house's `solvers` it is made ready; any
+    The first one of a process decides for which of dpbench's own `solvers` it is made ready; any
     other loads its kernels when it is opened.
     """
     modules = needed(solvers)

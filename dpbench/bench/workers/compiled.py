@@ -10,7 +10,7 @@ from dpbench.kernel_cache import cache_folders
 from dpbench.solvers.own.adapters import WITH_KERNELS
 
 LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
-"""Modules that compile as they are imported: what every cell needs, and this house's solvers."""
+"""Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
 _LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.nbi"}
 """The index in the cache of what each of them compiles last."""
 

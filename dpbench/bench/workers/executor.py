@@ -15,13 +15,15 @@ from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
+import pyarrow as pa
+
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.cell_store import packed
+from dpbench.bench.record.finished_batch import DAMAGE, Row, batch_part, unpacked
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
-from dpbench.bench.sequences.source import is_timed, log_size
+from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
 from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER
 from dpbench.bench.workers.cores import CorePool, run_on_cores
@@ -144,12 +146,9 @@ class CellExecutor(ExitStack):
 
     def _results_of(self, run: CellRun) -> list[Result]:
         self._log_bytes.pop(run)
-        results = [
-            self._result(job, run.outcomes[job.run_id], run.records.get(job.run_id), run.folder)
-            for job in run.batch.jobs
-            if job.run_id in run.outcomes
-        ]
-        return results + self._lost.pop(run)
+        ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
+        outcomes = {job: run.outcomes[job.run_id] for job in ended}
+        return self._results(outcomes, run.records, run.folder) + self._lost.pop(run)
 
     def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them all.
@@ -181,11 +180,8 @@ class CellExecutor(ExitStack):
                 outcomes |= run.outcomes
                 records |= run.records
                 unanswered -= run.outcomes.keys() | run.records.keys()
-        return lost + [
-            self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
-            for job in sizes
-            if job.run_id not in unanswered
-        ]
+        answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
+        return lost + self._results(answered, records, folder)
 
     def _by_turns(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
@@ -293,29 +289,47 @@ class CellExecutor(ExitStack):
 
     def _concurrency_of(self, cell: Cell) -> int | None:
         """Of a replay that is timed, the column of that name; None of every other cell."""
-        return self._concurrency if is_timed(cell) else None
+        return self._concurrency if cell.is_timed else None
 
-    def _result(self, job: CellJob, outcome: Outcome, record: bytes | None, folder: Path) -> Result:
-        """The result of a cell, and nothing is left in `folder` of what it left there.
+    def _results(
+        self, outcomes: Mapping[CellJob, Outcome], records: Mapping[str, bytes], folder: Path
+    ) -> list[Result]:
+        """Return the results of a batch, and leave nothing in `folder` of what it left there.
 
         Parameters
         ----------
-        record : what the referee made of its steps; None of a cell that left none.
+        records : what the referee made of the steps of cells that left some, by run_id.
         """
-        if record is None and outcome.outcome in ("finished", "timed_out"):
-            outcome = Outcome("lost", "the steps it made went away before they were kept")
-        if outcome.outcome == "lost":
-            record = b""
-        elif record is None:
-            about = job.run_id, job.cell, outcome, job.library, self._machine_id
-            row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-            record = packed(row, no_steps())
-        discard(folder / f"{job.run_id}.raw")
-        for suffix in ("json", "judged", "evaluated.json"):
-            # What stands in a file's place by somebody else's doing goes with the folder.
-            with suppress(OSError):
-                (folder / f"{job.run_id}.{suffix}").unlink()
-        return Result(job.run_id, outcome, record)
+        kept: dict[str, tuple[Row, pa.RecordBatch]] = {}
+        became = dict(outcomes)
+        for job, outcome in outcomes.items():
+            if outcome.outcome != "lost":
+                try:
+                    kept[job.run_id] = self._kept(job, outcome, records.get(job.run_id))
+                except DAMAGE as error:
+                    became[job] = Outcome("lost", f"its record cannot be kept: {error}")
+            discard(folder / f"{job.run_id}.raw")
+            for suffix in ("json", "judged", "evaluated.json"):
+                # What stands in a file's place by somebody else's doing goes with the folder.
+                with suppress(OSError):
+                    (folder / f"{job.run_id}.{suffix}").unlink()
+        part = batch_part(kept) if kept else None
+        return [
+            Result(job.run_id, outcome, part if job.run_id in kept else None)
+            for job, outcome in became.items()
+        ]
+
+    def _kept(
+        self, job: CellJob, outcome: Outcome, record: bytes | None
+    ) -> tuple[Row, pa.RecordBatch]:
+        """Return the row and the steps of a cell; ValueError where it should have left some."""
+        if record is not None:
+            return unpacked(record)
+        if outcome.outcome in ("finished", "timed_out"):
+            raise ValueError("the steps it made went away")
+        about = job.run_id, job.cell, outcome, job.library, self._machine_id
+        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+        return row, no_steps()
 
 
 def _lost(job: CellJob, cause: str) -> Result:

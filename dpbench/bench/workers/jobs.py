@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.sequences.source import source_key
+from dpbench.bench.record.finished_batch import BatchPart
 from dpbench.solvers.table import Availability
 
 Item = TypeVar("Item")
@@ -50,19 +50,19 @@ class CellJob:
     @cached_property
     def source_key(self) -> str:
         """Of the file behind its QPs."""
-        return source_key(self.cell, HARNESS_VERSION)
+        return self.cell.source_key(HARNESS_VERSION)
 
 
 @dataclass(frozen=True)
 class Result:
     """What became of a cell, or of a file, whose `run_id` is its path.
 
-    record : the row and the steps of a cell as `packed` makes them; empty where nothing is kept.
+    part : the finished cells of its batch, one object for all of these; None where nothing is kept.
     """
 
     run_id: str
     outcome: Outcome
-    record: bytes = b""
+    part: BatchPart | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -171,8 +171,7 @@ def configuration_key(cell: Cell) -> tuple[str, ...]:
 def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
     """Cut jobs of one kind into batches for so many slots.
 
-    All configurations meet a sea at about the same time: its source is released soon, and its runs
-    come into one part.
+    All configurations meet a sea at about the same time, so that its source is released soon.
     """
     if kind == "replays":
         return [CellBatch(kind, group) for group in interleaved(jobs)]

@@ -1,7 +1,7 @@
 """Importing this module makes a process the template that cells are forked from.
 
 It loads everything a cell needs except solvers, compiles their kernels, and starts no thread;
-forking it costs milliseconds where a fresh interpreter costs half a second (traps.md 17).
+forking it costs milliseconds where a fresh interpreter costs half a second.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from dpbench.bench.run.fallback import limit_move
+from dpbench.bench.run.limits import limit_move
 from dpbench.bench.run.replay import reference_kernel_ns
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts

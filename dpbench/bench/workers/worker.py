@@ -22,8 +22,8 @@ from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.cell_store import packed
 from dpbench.bench.record.disturbance import counters
+from dpbench.bench.record.finished_batch import packed
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
@@ -44,7 +44,7 @@ from dpbench.bench.run.footprint import (
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import is_sound, replayed, source_of
+from dpbench.bench.sequences.source import is_readable, replayed, source_file
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import Phase, begin_output, output_cut, set_phase
 from dpbench.errors import CertificateError, InputError
@@ -101,12 +101,13 @@ class BatchCell:
 
 def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
-    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer,
-    whose latencies another process does not measure again.
+    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer with
+    a backup.
 
     The log counts as not started again, so that the next process has time to open its library.
     """
-    if len(before) >= MOST_HANGS or cell.slowdown > 0.0:
+    # The latencies of a backup are not repeated, and it may steer otherwise with others.
+    if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
         return None
     try:
         log = RawLog.open(raw)
@@ -236,7 +237,7 @@ def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Replay all rounds, whatever they take; the verdict."""
-    sequence = source_of(cell).load(cell, source).sequence
+    sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _replay_run(
         cell, workspace, raw, sequence, preroll=0, hung=hung
@@ -249,7 +250,7 @@ def _replay_untimed(
 
 
 def _in_round(log: RawLog) -> str:
-    return f"in round {int((log.done > 0).sum()) - 1}"
+    return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
 def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
@@ -309,7 +310,7 @@ def _serve_replay(
     if workspace is None:
         return False
     memory.opened()
-    sequence = source_of(cell).load(cell, order.source).sequence
+    sequence = source_file(cell).load(order.source).sequence
     configuration, timed_solver, log = _replay_run(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
@@ -397,8 +398,8 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     settle()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
-        if not is_sound(cell, path):
-            source_of(cell).make(part)
+        if not is_readable(cell, path):
+            source_file(cell).make(part)
             part.replace(path)
     except (CertificateError, InputError) as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))

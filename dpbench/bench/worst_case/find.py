@@ -233,4 +233,4 @@ def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
     meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
     sequence = replace(case.sequence, meta=meta)
     units = QPBuilder(scenario, "si").condensed.scale
-    save_sequence(path, sequence, units=units, documents=scenario.files)
+    save_sequence(path, sequence, units=units, documents={**scenario.files})

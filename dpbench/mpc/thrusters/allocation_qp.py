@@ -21,7 +21,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
-from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
+from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows
 from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
 from dpbench.ship.layout import AXES
 
@@ -104,7 +104,7 @@ class AllocationQP:
         self._theta = np.ones(AXES + n_f + 1)
         of_limits = problem.row_max / self._row_unit[AXES:]
         rates = problem.df_max, problem.row_max
-        self._retreat = Retreat(problem.rows, *rates, 1, factor=of_limits)
+        self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
     def _build(self) -> None:
         """P, A, bounds and Z: in SI units first, then in those of the variables and rows."""
@@ -136,7 +136,7 @@ class AllocationQP:
         tau : (3,) τ_c, the force demanded [N, N, N·m].
         f_prev : (n_f,) forces of the thrusters in the last sample [N].
         limits : (low, high), each (r,) [N], in force from now on instead of those of the problem;
-            a thruster beyond them by now may retreat straight to nothing (`Retreat`).
+            a thruster beyond them by now may retreat straight to nothing (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev
@@ -145,7 +145,7 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._retreat.write(f_prev, *limits, step.l[AXES:], step.u[AXES:])
+            self._ramp_down.write(f_prev, *limits, step.l[AXES:], step.u[AXES:])
         return step
 
     def base(self) -> QuadraticProgram:

@@ -19,7 +19,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP, Form
-from dpbench.mpc.soft_limits import Layer
+from dpbench.mpc.soft_limits import ConstraintBlock
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -105,7 +105,7 @@ class TurningQP(CondensedQP):
         first = rows - 2 * a + 2 * np.arange(a)
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
-    def _extra_layers(self) -> list[Layer]:
+    def _extra_blocks(self) -> list[ConstraintBlock]:
         """Two rows an azimuth, with directions and limits of a thruster at nothing."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
@@ -117,7 +117,7 @@ class TurningQP(CondensedQP):
         high = np.zeros((N_c, 2 * a, problem.model.theta.size))
         high[:, 0::2, -1], high[:, 1::2, -1] = 1.0, turning.least_N * turning.arc / unit[::2]
         rows, nothing = moves.reshape(N_c, 2 * a, -1), np.zeros(0)
-        return [Layer(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
+        return [ConstraintBlock(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
 
     def emit(
         self,
@@ -130,18 +130,18 @@ class TurningQP(CondensedQP):
         """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
-        _turn(self._table, u_prev, A, step.l, step.u, self.control.N_c)
+        _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)
         step.A = A
         return step
 
 
-# Rows of the table of `_turn`, whose columns are azimuths; the last one is the first of its rows.
+# Rows of the table of `_write_turning_rows`, a column an azimuth; FIRST is the first of its rows.
 X, ARC, LEAST_N, RADIAL, UNIT, FIRST = range(6)
 
 
 @njit(cache=True, error_model="numpy")
-def _turn(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
-    """Rows and limits of the directions of f into A, l and u, alike at every move."""
+def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Write the rows that limit each azimuth's force change along and across its direction."""
     rows, block = A.shape[0] // N_c, A.shape[1] // N_c
     for j in range(table.shape[1]):
         at, radial = int(table[X, j]), table[RADIAL, j]

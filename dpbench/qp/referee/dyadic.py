@@ -29,7 +29,7 @@ class Dyadic:
 
     @classmethod
     def of(cls, array: Floats) -> Dyadic:
-        """The exact value of a finite float64 array."""
+        """Return the exact value of a finite float64 array."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
         used = digits != 0
@@ -48,7 +48,7 @@ class Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
     def at(self, exponent: int) -> Whole:
-        """The integers of the same numbers at a smaller (or equal) exponent."""
+        """Return the integers of the same numbers at a smaller (or equal) exponent."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
     def __add__(self, other: Dyadic) -> Dyadic:
@@ -73,7 +73,7 @@ class Dyadic:
         return Dyadic(np.asarray(self.whole @ other.whole, dtype=object), exponent)
 
     def sum(self) -> Dyadic:
-        """The sum of all entries, as an array without axes."""
+        """Return the sum of all entries, as an array without axes."""
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 
     def signs(self) -> NDArray[np.int8]:
@@ -82,7 +82,7 @@ class Dyadic:
         return positive - np.asarray(self.whole < 0, dtype=np.int8)
 
     def floats(self) -> Vector:
-        """The nearest float64 of each entry."""
+        """Return the nearest float64 of each entry."""
         scale = self.exponent
         up, down = 1 << max(scale, 0), 1 << max(-scale, 0)
         values = [(number * up) / down for number in self.whole.ravel().tolist()]

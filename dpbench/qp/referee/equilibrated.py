@@ -30,7 +30,7 @@ class Scales:
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> Scales:
-        """The factors that equilibrate a symmetric P (n, n) and C = [A; I] (N, n)."""
+        """Find the factors that equilibrate a symmetric P (n, n) and C = [A; I] (N, n)."""
         n = len(P)
         A = np.abs(C[:-n])
         D, R = np.ones(n), np.ones(len(A))
@@ -51,12 +51,12 @@ class Scales:
         return C * self.R[:, np.newaxis] * self.D
 
     def problem(self, problem: JointQP, P: Matrix, C: Matrix) -> JointQP:
-        """The vectors of `problem` in the new units, with P' and C'."""
+        """Return the vectors of `problem` in the new units, with P' and C'."""
         q = self.cost * problem.q * self.D
         return JointQP(P, q, C, problem.L * self.R, problem.U * self.R)
 
     def multipliers(self, y: Vector) -> Vector:
-        """y (N,) in the units of the problem as posed."""
+        """Return y (N,) in the units of the problem as posed."""
         return y * self.R / self.cost
 
 

@@ -34,7 +34,7 @@ NEAR = 1e-9
 
 
 def met(problem: JointQP, z: Vector) -> Signs:
-    """The limits that z meets, or oversteps, to within rounding."""
+    """Return the limits that z meets, or oversteps, to within rounding."""
     value = problem.C @ z[: len(problem.q)]
     near = NEAR * (1.0 + np.abs(value))
     upper, lower = problem.U - value <= near, value - problem.L <= near
@@ -63,7 +63,7 @@ def independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
 def gap_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inverse: Matrix
 ) -> Proof | None:
-    """The optimum to within the bound of the gap at a refined point on the rows of `system`.
+    """Certify the optimum by the gap at a refined point on the rows of `system`.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def refine(
 
 
 def _multiples(step: Vector) -> NDArray[np.object_]:
-    """The step in integer multiples of 2^LAST_BIT."""
+    """Express the step in integer multiples of 2^LAST_BIT."""
     digits = Dyadic.of(step)
     shift = digits.exponent - LAST_BIT
     if shift >= 0:

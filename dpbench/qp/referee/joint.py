@@ -32,7 +32,7 @@ class JointQP:
 
     @classmethod
     def of(cls, qp: QuadraticProgram) -> JointQP:
-        """The joint form of `qp`."""
+        """Return the joint form of `qp`."""
         C = np.vstack((qp.A, np.eye(qp.n)))
         return cls(qp.P, qp.q, C, *qp.limits())
 

@@ -62,7 +62,7 @@ kept = njit(cache=True, error_model="numpy")
 
 @inlined
 def add_columns(columns, x, total):
-    """total += Σ columns[j] · x[j]."""
+    """Add Σ columns[j] · x[j] to total."""
     for j in range(len(x)):
         factor = x[j]
         for i in range(len(total)):
@@ -71,7 +71,7 @@ def add_columns(columns, x, total):
 
 @inlined
 def _add_sizes(columns, x, total):
-    """total += Σ |columns[j]| · |x[j]|."""
+    """Add Σ |columns[j]| · |x[j]| to total."""
     for j in range(len(x)):
         factor = abs(x[j])
         for i in range(len(total)):
@@ -80,7 +80,10 @@ def _add_sizes(columns, x, total):
 
 @inlined
 def _residual(K, x, b, r):
-    """r (N,) = b − K x of a symmetric K, as if summed in twice the precision and rounded once."""
+    """Write r (N,) = b − K x of a symmetric K.
+
+    As if summed in twice the precision and rounded once.
+    """
     N = len(b)
     lost = np.zeros(N)
     for i in range(N):
@@ -108,7 +111,7 @@ def _residual(K, x, b, r):
 
 @inlined
 def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
-    """x (N,) = K⁻¹ rhs, and a rigorous bound of its error; both zero before.
+    """Write x (N,) = K⁻¹ rhs, and a rigorous bound of its error; both zero before.
 
     By |K⁻¹b − x| ≤ e + α/(1−α) · max_i(e_i/d_i) · d,  e ≥ |X(b − Kx)|, as in `kkt`.
     """

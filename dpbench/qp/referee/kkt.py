@@ -112,7 +112,7 @@ class Geometry:
 
 
 def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Proof | None:
-    """The optimum, if the active set of `system` is proven to be that of `problem`.
+    """Certify the optimum, if the active set of `system` is proven to be that of `problem`.
 
     Parameters
     ----------

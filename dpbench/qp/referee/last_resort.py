@@ -88,7 +88,7 @@ class _Feasible:
 def enclosure_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector, *, convex: bool
 ) -> Enclosed | None:
-    """The minimisers of `problem` to within a bound, from the rows of `system`.
+    """Enclose the minimisers of `problem`, from the rows of `system`.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def enclosure_certificate(
 def _feasible(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector
 ) -> _Feasible | None:
-    """A refined point with a proof that a feasible one is near, or None."""
+    """Refine a point and prove that a feasible one is near, or return None."""
     rows, n = system.rows, system.n
     limits = Dyadic.of(np.concatenate((problem.U, problem.L))[system.limits])
     amounts = np.round(inward * 2.0**AMOUNT_BITS) * -system.signs
@@ -154,7 +154,7 @@ def _feasible(
 
 
 def _distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
-    """e (n,), or None where C B is not proven to be near the identity."""
+    """Return e (n,), or None where C B is not proven to be near the identity."""
     if not len(C):
         return np.zeros(C.shape[1])
     identity = np.eye(len(C))
@@ -179,12 +179,12 @@ def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool
 
 
 def _weight(P: Matrix) -> float:
-    """What a row of size 1 counts in M."""
+    """Return the weight of a row of size 1 in M."""
     return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
 def _raised(P: Matrix, C: Matrix) -> Matrix:
-    """A matrix that is at most P + w CᵀC in the order of symmetric matrices, rounding included."""
+    """Return a matrix at most P + w CᵀC in the order of symmetric ones, rounding included."""
     w = _weight(P)
     M = P + w * (C.T @ C)
     size = np.abs(P) + w * (np.abs(C).T @ np.abs(C))
@@ -249,7 +249,7 @@ class LastResort:
         self._exact: ExactMatrices | None = None
 
     def certify(self, problem: JointQP) -> Proof | None:
-        """The optimum of `problem`, in its own units, or None.
+        """Certify the optimum of `problem`, in its own units, or return None.
 
         Its multipliers are NaN where implied limits took part: those of the equality rows that
         stand for them say nothing of the problem as posed.
@@ -310,7 +310,10 @@ class LastResort:
                 yield _Guess(explaining, z)
 
     def _proof(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
-        """The proof from one guess; without one, the touched limits if they leave no interior."""
+        """Prove the optimum from one guess.
+
+        Without one, from the touched limits if they leave no interior.
+        """
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
         held = independent(problem.C, np.where(equal, equal, guess.signs), equal)
@@ -338,14 +341,17 @@ class LastResort:
         return self._back(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
 
     def _back(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
-        """The proof in the units of the problem as posed."""
+        """Return the proof in the units of the problem as posed."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)
 
 
 def _explaining(problem: JointQP, z: Vector) -> Signs | None:
-    """The touched limits whose multipliers explain z: independent ones, of the right sign."""
+    """Return the touched limits whose multipliers explain z.
+
+    They are independent, with multipliers of the right sign.
+    """
     touched = met(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
@@ -365,7 +371,7 @@ def _explaining(problem: JointQP, z: Vector) -> Signs | None:
 
 
 def _point(problem: JointQP, signs: Signs) -> Vector | None:
-    """The point of an active set, unproven."""
+    """Return the point of an active set, unproven."""
     held = independent(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]

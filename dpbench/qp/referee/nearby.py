@@ -51,7 +51,10 @@ distant sets sooner. Between two steps of a loop one or two exchanges of few row
 
 
 def nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
-    """The set at which the method ends, begun at that of a `proven` system; None if it fails."""
+    """Iterate from the active set of a `proven` system.
+
+    Returns the set at which the method ends, None if it fails.
+    """
     signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
     signs[system.rows] = system.signs
     posed = problem.q, problem.L, problem.U, problem.C
@@ -60,13 +63,16 @@ def nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | N
 
 @inlined
 def _limit(L, U, signs, i):
-    """The limit a row is active at; 0 where it is not, for its equation then says nothing."""
+    """Return the limit a row is active at.
+
+    0 where it is not, for its equation then says nothing.
+    """
     return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
 
 
 @inlined
 def _solve(S, b):
-    """b becomes S⁻¹ b by Gauss-Jordan elimination; False where S is singular."""
+    """Solve S x = b in place by Gauss-Jordan elimination; return False where S is singular."""
     for k in range(len(b)):
         best = k
         for i in range(k + 1, len(b)):
@@ -89,7 +95,9 @@ def _solve(S, b):
 
 @inlined
 def _correct(C, L, U, X_T, place, signs, changed, x, mu):
-    """x (n+w,) of W becomes that of the set `signs`, with mu (k,); False where it has none.
+    """Move x (n+w,) from W to the set `signs`, with mu (k,).
+
+    Returns False where that set has no point.
 
     place (N,) : where the row's equation stands in K_W; −1 for a row that is not in W.
     changed (k,) : the rows that are in W or in the set, but not in both.

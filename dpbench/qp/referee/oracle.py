@@ -53,7 +53,7 @@ def _ask_daqp(problem: JointQP) -> Signs | None:
 
 
 def _ask_own(problem: JointQP) -> Signs | None:
-    """What the dual active-set method on an orthogonal factorisation ends at.
+    """Run the dual active-set method on an orthogonal factorisation; return its last set.
 
     It is bounded in its iterations, which the libraries of this method are not: quadprog goes on
     for ever on some rows that depend on one another but for rounding, and nothing can stop it.
@@ -67,7 +67,10 @@ def _ask_own(problem: JointQP) -> Signs | None:
 
 
 def _signs(problem: JointQP, y: Vector) -> Signs:
-    """The sides that the multipliers name, where there is a limit; equalities are always active."""
+    """Return the sides that the multipliers name, where there is a limit.
+
+    Equalities are always active.
+    """
     signs = np.sign(np.nan_to_num(y))
     signs[(signs == 0.0) & (problem.L == problem.U)] = 1.0
     limit = np.where(signs > 0, problem.U, problem.L)

@@ -113,7 +113,7 @@ class _ActiveSet:
         del self.rows[position], self.side[position]
 
     def solve(self, gradient: Whole) -> _Iterate | None:
-        """The point that holds the rows while the multiplier μ of `gradient` varies."""
+        """Return the point that holds the rows while the multiplier μ of `gradient` varies."""
         qp, n = self.qp, len(self.qp.q)
         G = qp.C[self.rows]
         w = len(self.rows)
@@ -138,7 +138,7 @@ class _ActiveSet:
         return worst if worst is not None and values[worst] < 0 else None
 
     def first_zero(self, at: _Iterate) -> tuple[Fraction, int] | None:
-        """The smallest μ at which a multiplier reaches zero, and its position."""
+        """Return the smallest μ at which a multiplier reaches zero, and its position."""
         n = len(self.qp.q)
         zeros = [
             (Fraction(-value, slope), position)
@@ -164,7 +164,7 @@ def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
 
 
 def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
-    """An active set with multipliers of the right sign, from a guess."""
+    """Find an active set with multipliers of the right sign, from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
         active.add(row, int(signs[row]))
@@ -180,7 +180,7 @@ def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
 
 
 def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
-    """The optimum rounded once, whatever is degenerate.
+    """Certify the optimum rounded once, whatever is degenerate.
 
     Parameters
     ----------

@@ -53,7 +53,6 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.display import fields_html, numbers_text
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, semidefinite
 from dpbench.qp.referee.equilibrated import alike, safe
@@ -71,6 +70,7 @@ from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, meaning
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
 from dpbench.qp.referee.last_resort import LastResort
 from dpbench.qp.referee.nearby import nearby
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
@@ -84,54 +84,6 @@ EXACT_SIZE = 40
 """Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
-
-
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Optimum:
-    """The certified optimum of a QP.
-
-    Parameters
-    ----------
-    z : (n,), y : (m,), y_box : (n,) optimum and its multipliers; of an infeasible problem z is
-        NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
-    bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
-    kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
-        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
-    """
-
-    z: Vector
-    y: Vector
-    y_box: Vector
-    bound: float
-    kind: Kind
-
-    def __repr__(self) -> str:
-        return f"<Optimum of {len(self.z)} variables: {self._proven}>"
-
-    def _repr_html_(self) -> str:
-        fields = {
-            "certificate": f"{self.kind}: {self._proven}",
-            "z": numbers_text(self.z),
-            "y": numbers_text(self.y),
-            "y_box": numbers_text(self.y_box),
-        }
-        return fields_html(f"Optimum of {len(self.z)} variables", fields)
-
-    @property
-    def _proven(self) -> str:
-        """What is proven, in words."""
-        if not np.isfinite(self.bound):
-            proofs = {
-                "infeasible": "no point is feasible",
-                "undecided": "feasible or infeasible by rounding alone",
-            }
-            return proofs.get(self.kind, "nothing certified")
-        active = np.count_nonzero(self.y) + np.count_nonzero(self.y_box)
-        return f"z within {self.bound:.1e} of the exact one, {active} limits active"
 
 
 @dataclass(slots=True)
@@ -170,15 +122,17 @@ class Referee:
         self._convex = self._definite or (self._finite and self._proven_convex())
 
     def after(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-        """A referee of a later step's matrices, begun at the active set that this one is at."""
+        """Return a referee of a later step's matrices, begun at the active set of this one."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
     def anew(self) -> Referee:
-        """A referee of the same matrices that has seen no problem: it answers like a new one, and
-        shares with this one what follows from the matrices alone."""
+        """Return a referee of the same matrices that has seen no problem.
+
+        It answers like a new one, and shares with this one what follows from the matrices alone.
+        """
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
         return other
@@ -202,7 +156,7 @@ class Referee:
         return self._known.exact
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
-        """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
+        """Certify the optimum of the problem with these vectors; (n,), (m,), (m,)."""
         # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
         limits = meaning(q, L, U)
@@ -253,7 +207,7 @@ class Referee:
         return self._optimum(best) if fixed is None else self._explained(problem, best)
 
     def _resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
-        """What is left where the other certificates gave nothing better than `known`."""
+        """Try the last resort where the other certificates gave nothing better than `known`."""
         if known is None:
             empty = self._infeasible(problem)
             if empty is not None:
@@ -269,7 +223,7 @@ class Referee:
         return self._nothing() if refuted is None else self._refuted(problem, *refuted)
 
     def _explained(self, problem: JointQP, proof: Proof) -> Optimum:
-        """The optimum of a problem that was changed, with multipliers its own limits allow."""
+        """Return the optimum of a changed problem, with multipliers its own limits allow."""
         try:
             y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
         except RuntimeError:
@@ -298,7 +252,10 @@ class Referee:
         return system
 
     def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
-        """The best of `known` and the costly certificates, begun at the active sets `tried`."""
+        """Try the costly certificates, begun at the active sets `tried`.
+
+        Return the best, or `known`.
+        """
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
@@ -342,7 +299,7 @@ class Referee:
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
+        """Return "infeasible" or "undecided" with a verified vector, if there is one."""
         farkas = certify_infeasible(self._program(problem))
         if farkas is None:
             return None
@@ -350,7 +307,7 @@ class Referee:
         return self._refuted(problem, *farkas)
 
     def _still_infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" by the vector of an earlier problem, where that is valid still.
+        """Return the verdict "infeasible" by an earlier problem's vector, if it is still valid.
 
         What it leaves undecided at rounding is for a vector of the problem's own.
         """
@@ -366,13 +323,13 @@ class Referee:
         return verdict if verdict.kind == "infeasible" else None
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        """The verdict on a problem that (y, y_box) proves to have no feasible point."""
+        """Return the verdict on a problem that (y, y_box) proves to have no feasible point."""
         least = least_violation(self._program(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _empty(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """The verdict by the exact multipliers, if they still prove it once rounded.
+        """Return the verdict by the exact multipliers, if they still prove it once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
@@ -396,8 +353,11 @@ class Referee:
 
 
 def referee_of(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """A referee that answers like a new one, and knows what was found out in this thread about the
-    same matrices before: runs of one controller in many seas have the same."""
+    """Return a referee that answers like a new one.
+
+    It shares what was found out in this thread about the same matrices before: runs of one
+    controller in many seas have the same.
+    """
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
     return _first_of(get_ident(), len(lb), *parts).anew()
 
@@ -410,7 +370,7 @@ def _first_of(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> 
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
+    """Certify the optimum of one problem; a `Referee` is faster for many that share P and A."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
@@ -440,7 +400,7 @@ def errors_of(
 
 
 def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
-    """The certified optimum of one step after the other, for a sequence in scaled units."""
+    """Certify the optimum of one step after the other, for a sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
     for k in range(len(sequence)):
@@ -452,7 +412,7 @@ def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
 
 
 def certified(sequence: QPSequence) -> list[Optimum]:
-    """The certified optimum of every step, for a sequence in scaled units."""
+    """Certify the optimum of every step, for a sequence in scaled units."""
     return list(each_certified(sequence))
 
 

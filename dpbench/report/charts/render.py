@@ -26,8 +26,8 @@ _NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])
 """Characters that XML does not have, as JSON writes them, behind an even number of backslashes."""
 
 
-class _Same:
-    """A chart as a key: it is itself and like no other."""
+class _ChartKey:
+    """Compare and hash a chart by identity, so that it can be a cache key."""
 
     def __init__(self, chart: Any) -> None:
         self.chart = chart
@@ -36,19 +36,19 @@ class _Same:
         return id(self.chart)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.chart is self.chart
+        return isinstance(other, _ChartKey) and other.chart is self.chart
 
 
 def vega(chart: Any) -> dict[str, Any]:
     """The specification compiled to Vega, which a page needs the smaller library for; without the
     title, which stands above it there."""
-    compiled: dict[str, Any] = json.loads(_compiled(_Same(chart)))
+    compiled: dict[str, Any] = json.loads(_compiled(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def svg(chart: Any, *, titled: bool = True) -> str:
     """The figure as SVG with real text."""
-    return _drawn(_compiled(_Same(chart)) if titled else json.dumps(vega(chart)))
+    return _drawn(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
 
 
 PROBE = """
@@ -74,7 +74,7 @@ def can_draw() -> bool:
 
 
 @lru_cache(maxsize=64)
-def _compiled(chart: _Same) -> str:
+def _compiled(chart: _ChartKey) -> str:
     """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
 
     Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
@@ -127,7 +127,7 @@ def encoded(chart: Any, kind: str) -> bytes:
         return page.getvalue().encode()
     if kind == "svg":
         return svg(chart).encode()
-    drawn = _compiled(_Same(chart))
+    drawn = _compiled(_ChartKey(chart))
     made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
     return made
 

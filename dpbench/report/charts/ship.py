@@ -9,7 +9,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.thinning import MOST, extremes
+from dpbench.analysis.records.kept_runs import MOST, extremes
 from dpbench.analysis.suites.paper import CIRCLE_M, Law, errors
 from dpbench.arrays import Vector
 from dpbench.report.charts import style

@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+import altair as alt
 import numpy as np
+import pandas as pd
 
-from dpbench.analysis.compare.ratio_table import claims_first, furthest, ratio_table
 from dpbench.analysis.compare.times import Compared, Timing
 from dpbench.files.writing import write_given
-from dpbench.report.charts.pairs import pairs
+from dpbench.report.charts import style
+from dpbench.report.charts.steps import pairs
 from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import Comparison
 from dpbench.report.compare.tables import answer_line, shared_line, times_table
-from dpbench.report.compare.times_chart import both, ratios
 from dpbench.report.formats import interval_text, plural, unmarked
-from dpbench.report.page.facts import columns_of
+from dpbench.report.page.data import columns_of
 from dpbench.report.page.pack import Block
 from dpbench.report.page.write import drawn, own, rendered, specification
 from dpbench.report.table import Table
@@ -175,3 +176,95 @@ def _worse(comparison: Comparison) -> str:
     if not worse:
         return f"No figure of accuracy or control of {count} is worse." if count else ""
     return f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+
+
+VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
+_COLOUR = style.coloured(
+    "verdict", VERDICTS, (style.MISSES, style.MEETS, style.SOFT, style.NOT_RUN), columns=2
+)
+_SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
+_SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
+_TIPS = [
+    style.tip("name:N", "configuration"),
+    "verdict:N",
+    *(style.tip(f"{name}:Q") for name in ("ratio", "low", "high")),
+    style.tip("a_us:Q", "A [µs]"),
+    style.tip("b_us:Q", "B [µs]"),
+]
+
+
+def ratios(table: pd.DataFrame, margin: float) -> Any:
+    """B over A less the machine factor, with its interval; dotted: no difference.
+
+    Parameters
+    ----------
+    table : of `ratio_table`; margin : what is no difference.
+    """
+    base = alt.Chart(table).encode(
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
+        color=_COLOUR,
+        tooltip=_TIPS,
+    )
+    pick = style.picking("id")
+    rows = style.whole_rows(base, style.either(pick, 0.16, 0.0), 16, color=style.ACCENT)
+    rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow(), pick)
+    axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
+    title = "B / A, machine factor taken out"
+    x = alt.X("ratio:Q", title=title, scale=style.log_scale(), axis=axis)
+    spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2="high:Q")
+    points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_SHAPE)
+    edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
+    rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
+    chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
+    return style.styled(chart, "What became slower", "Ratio of step times of each configuration.")
+
+
+def both(table: pd.DataFrame) -> Any:
+    """Median step time in B against A on equal axes, a mark a configuration and sequence."""
+    low = 0.8 * float(table[["a_us", "b_us"]].min().min())
+    high = 1.25 * float(table[["a_us", "b_us"]].max().max())
+    scale = style.log_scale(domain=[low, high])
+    x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
+    y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
+    pick = style.picking("id")
+    points = alt.Chart(table).mark_point(filled=True, opacity=0.9)
+    looks: dict[str, Any] = {"color": _COLOUR, "shape": _SHAPE, "tooltip": _TIPS}
+    points = points.encode(x=x, y=y, **looks, size=style.either(pick, 260, 55)).add_params(pick)
+    chart = alt.layer(style.alike(low, high, x, y), points, width=330, height=330)
+    return style.styled(chart, "Both runs", "Median step times of both runs against each other.")
+
+
+def claims_first(compared: Sequence[Compared]) -> list[Compared]:
+    """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
+    rank = {"slower": 0, "faster": 1}
+    return sorted(
+        compared,
+        key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value),
+    )
+
+
+def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
+    """A row for each, the largest ratio first: `id`, its number; name, ratio, low, high, verdict,
+    a_us, b_us, the median step in either run, and sequence."""
+    rows = [
+        {
+            "id": str(i),
+            "name": f"{one.timing.pair.a.configuration.label}, {one.timing.pair.a.sequence}",
+            "ratio": one.assessment.ratio.value,
+            "low": one.assessment.ratio.low,
+            "high": one.assessment.ratio.high,
+            "verdict": one.assessment.verdict,
+            "a_us": one.timing.median_ns[0] / 1e3,
+            "b_us": one.timing.median_ns[1] / 1e3,
+            "sequence": one.timing.pair.a.sequence,
+        }
+        for i, one in enumerate(compared)
+    ]
+    return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
+
+
+def furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
+    """Of a `ratio_table` what is judged to differ, and so many at either end whatever is said."""
+    judged = table["verdict"].isin(("slower", "faster"))
+    place = pd.Series(range(len(table)), index=table.index)
+    return table[judged | (place < ends) | (place >= len(table) - ends)]

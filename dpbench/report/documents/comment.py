@@ -14,7 +14,7 @@ from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.documents.markdown import cut, solver_table
 from dpbench.report.escaped import markdown_line, markdown_text, one_line
 from dpbench.report.formats import and_list, count_text, error_text, time_text
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
 from dpbench.report.report import Report
 from dpbench.report.table import markdown
 from dpbench.report.verdict_text import answer_text, clauses, demand_text, paired_text
@@ -38,29 +38,29 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     ------
     InputError : for a solver that was not run.
     """
-    facts = report.facts
-    best = {v.configuration.solver: v for v in best_of_each(facts.verdicts)}
+    data, machine = report.data, report.recommendation.machine
+    best = {v.configuration.solver: v for v in best_of_each(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
             raise UnknownNameError(option, "", repr(name), one_of(name, sorted(best)))
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
-    worst = worst_steps(facts.records, solver)
-    own_ways = fastest_first([v for v in facts.verdicts.of[solver] if v.outcome != "not run"])
+    worst = worst_steps(data.records, solver)
+    own_ways = fastest_first([v for v in data.verdicts.of[solver] if v.outcome != "not run"])
     names = and_list([v.configuration.solver for v in chosen]) or "nobody"
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
-        markdown_line(_sentence(facts, best[solver])),
-        solver_table(facts, [*own_ways[:MOST_WAYS], *chosen]),
-        "\n".join(f"- {markdown_text(_paired(facts, best[solver], v))}" for v in chosen),
-        _worst_table(facts, worst, chosen),
+        markdown_line(_sentence(data, best[solver])),
+        solver_table(data, [*own_ways[:MOST_WAYS], *chosen]),
+        "\n".join(f"- {markdown_text(_paired(data, best[solver], v))}" for v in chosen),
+        _worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export)}" for step in worst),
-        markdown_line(f"{demand_text(facts.demand)} {_made_by(report)} {report.answer.machine}"),
+        markdown_line(f"{demand_text(data.demand)} {_made_by(report)} {machine}"),
     ]
     return cut("\n\n".join(part for part in parts if part) + "\n", MOST_BYTES, "report.md"), worst
 
 
-def _sentence(facts: Facts, verdict: Verdict) -> str:
+def _sentence(data: PageData, verdict: Verdict) -> str:
     label = verdict.configuration.label
     held = f"`{label}` meets the demand everywhere it was run."
     if verdict.causes:
@@ -69,14 +69,14 @@ def _sentence(facts: Facts, verdict: Verdict) -> str:
     return held if verdict.outcome == "meets" else f"`{label}` contradicts nothing; open: {said}."
 
 
-def _paired(facts: Facts, own: Verdict, other: Verdict) -> str:
+def _paired(data: PageData, own: Verdict, other: Verdict) -> str:
     faster, slower = fastest_first([own, other])
-    said = paired_text(paired_comparison(facts.records, faster, slower))
+    said = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
     return f"{names}: {said}."
 
 
-def _worst_table(facts: Facts, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
     """Its worst steps, with the same figure of the others at the same step."""
     if not worst:
         return ""
@@ -90,10 +90,7 @@ def _worst_table(facts: Facts, worst: Sequence[WorstStep], others: Sequence[Verd
             _figure(step.measure, step.value),
             _figure(step.measure, step.median),
             answer_text(step.step, 0),
-            *(
-                _figure(step.measure, value_at(facts.records, step, v.configuration))
-                for v in others
-            ),
+            *(_figure(step.measure, value_at(data.records, step, v.configuration)) for v in others),
         )
         for step in worst
     ]

@@ -1,5 +1,4 @@
-"""`report.md`: what fits a pull request. The answer, one table, the conditions, where the rest
-is."""
+"""`report.md`, short enough for a pull request: recommendation, one table, conditions."""
 
 from __future__ import annotations
 
@@ -10,9 +9,9 @@ from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.escaped import markdown_line, markdown_text
 from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation
+from dpbench.report.page.section import Topic
 from dpbench.report.table import markdown
 
 MOST_BYTES = 8000
@@ -23,23 +22,25 @@ HEAD = (
 )
 
 
-def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]) -> str:
+def report_markdown(
+    results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
+) -> str:
     """The report in Markdown, at most `MOST_BYTES` long."""
     suite = results.suite
     lead = [topic.lines[0] for topic in topics if topic.leads]
     said = (
-        [answer.sentence, *(note for _, note in answer.notes)]
-        if facts.verdicts.of or not lead
+        [recommendation.sentence, *(note for _, note in recommendation.notes)]
+        if data.verdicts.of or not lead
         else []
     )
-    held = ", ".join(chip.text for chip in answer.chips)
+    held = ", ".join(chip.text for chip in recommendation.chips)
     after = [f"Valid for: {held}."] if held else []
-    after += [answer.demand, answer.machine]
+    after += [recommendation.demand, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
         f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
         *map(markdown_line, [*lead, *said]),
-        solver_table(facts, best_of_each(facts.verdicts)),
+        solver_table(data, best_of_each(data.verdicts)),
         *map(markdown_line, after),
     ]
     parts.append(
@@ -50,13 +51,13 @@ def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequ
     return cut(text, MOST_BYTES, "tables/verdicts.csv")
 
 
-def solver_table(facts: Facts, verdicts: Iterable[Verdict]) -> str:
+def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     """A row for each configuration, in Markdown; empty without one."""
-    rows = solver_rows(facts, verdicts)
+    rows = solver_rows(data, verdicts)
     return markdown(HEAD, rows, 3) if rows else ""
 
 
-def solver_rows(facts: Facts, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
+def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
     """A row for each configuration, under `HEAD`."""
     return [
         (
@@ -73,7 +74,7 @@ def solver_rows(facts: Facts, verdicts: Iterable[Verdict]) -> list[tuple[str, ..
             str(verdict.failed_steps),
         )
         for verdict in verdicts
-        for margin in [facts.margin(verdict.configuration)]
+        for margin in [data.margin(verdict.configuration)]
     ]
 
 

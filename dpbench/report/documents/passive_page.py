@@ -12,6 +12,11 @@ from collections.abc import Iterator
 from dpbench.errors import ResultsError
 from dpbench.report.page.write import FILES
 
+_UNREADABLE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+"""Control characters: an escape switches what the next bytes mean in some encodings."""
+_ENCODED = re.compile(r'<meta charset="utf-8" ?/?>', re.IGNORECASE)
+_PREFIX = 1024
+"""Characters in which a browser looks for the encoding; without one it guesses."""
 # All markup that dpbench writes. In any other, a browser may see tags where this does not.
 _TAG = re.compile(
     r"<(?:!doctype html|/?(?P<name>[a-zA-Z][a-zA-Z0-9]*+)"
@@ -36,6 +41,8 @@ _WORDS = re.compile(r"(?:aria|data)-[\w-]+|alt|class|id|name|title|value|for")
 _VALUES = {
     "href": re.compile(rf"#[\w-]*|{'|'.join(map(re.escape, FILES))}"),
     "src": re.compile(r"data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"),
+    # In ISO-2022-JP a browser reads quotes as parts of other characters.
+    "charset": re.compile(r"utf-8", re.IGNORECASE),
     "content": re.compile(r"width=device-width, initial-scale=1"),
 }
 """What addresses may be: a section, a file of the folder, a picture, in which nothing runs."""
@@ -58,6 +65,10 @@ def check_passive(page: str, where: str) -> None:
 
 def _active(page: str) -> Iterator[tuple[int, str]]:
     """Whatever is not passive, and where."""
+    if control := _UNREADABLE.search(page):
+        yield control.start(), f"the control character {ord(control[0]):#04x}"
+    if _ENCODED.search(page, 0, _PREFIX) is None:
+        yield 0, f'no <meta charset="utf-8"> in the first {_PREFIX} characters'
     at = 0
     while (start := page.find("<", at)) >= 0:
         tag = _TAG.match(page, start)

@@ -16,16 +16,16 @@ from typing import Any
 
 import vl_convert as vlc
 
-from dpbench.analysis.verdict.fastest import recommend
+from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.result_folder import Results, hashes
 from dpbench.bench.record.revision import made_by
 from dpbench.errors import InputError
 from dpbench.files.writing import write_given
 from dpbench.report.charts.style import INK, LINE, SOFT
-from dpbench.report.page.answer import slower_text
-from dpbench.report.page.facts import Facts
-from dpbench.report.verdict_text import aboard, demand_text, judged_on
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import slower_text
+from dpbench.report.verdict_text import demand_text, deployment_facts, judged_on
 from dpbench.report.words import document
 from dpbench.solvers.settings import level_options
 
@@ -45,23 +45,23 @@ class Line:
     colour: str = INK
 
 
-def statement_svg(folder: Path, results: Results, facts: Facts) -> str:
+def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     """The statement on a result folder as SVG, A4.
 
     Raises
     ------
     InputError : when nothing can be recommended, so that there is nothing to state.
     """
-    chosen = recommend(facts.verdicts).chosen
+    chosen = choose_solver(data.verdicts).chosen
     if chosen is None or chosen.outcome != "meets":
         found = "no configuration that meets the demand everywhere and can go aboard"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
-    return _page(_lines(folder, results, facts, chosen))
+    return _page_svg(_lines(folder, results, data, chosen))
 
 
-def write_statement(path: Path, folder: Path, results: Results, facts: Facts) -> Path:
+def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
     """Write the statement as the name of the file ends: .pdf or .svg."""
-    drawn = statement_svg(folder, results, facts)
+    drawn = statement_svg(folder, results, data)
     if path.suffix == ".svg":
         write_given(path, drawn.encode())
     elif path.suffix == ".pdf":
@@ -81,8 +81,8 @@ _LOOKS: dict[str, dict[str, Any]] = {
 """Of a line of the template, by the mark that it begins with; one without is wrapped."""
 
 
-def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> Iterator[Line]:
-    for line in _text(folder, results, facts, chosen).splitlines():
+def _lines(folder: Path, results: Results, data: PageData, chosen: Verdict) -> Iterator[Line]:
+    for line in _text(folder, results, data, chosen).splitlines():
         mark, _, text = line.partition(" ")
         if mark in _LOOKS:
             yield Line(text, **_LOOKS[mark])
@@ -90,8 +90,8 @@ def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> Ite
             yield from map(Line, textwrap.wrap(" ".join(line.split()), 104))
 
 
-def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
-    c, scenarios = chosen.configuration, map(facts.records.scenario, facts.records.scenarios)
+def _text(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
+    c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
     vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
@@ -104,14 +104,14 @@ def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
         version=", ".join(sorted({str(v) for v in versions if v})),
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
-        aboard=aboard(c.solver),
-        demand=demand_text(facts.demand),
-        slower=slower_text(facts, chosen),
+        aboard=deployment_facts(c.solver),
+        demand=demand_text(data.demand),
+        slower=slower_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         places=[
-            facts.places[p].label
-            for p in facts.judged_places
-            if facts.state(facts.index(c), p) == "meets"
+            data.places[p].label
+            for p in data.judged_places
+            if data.state(data.index(c), p) == "meets"
         ],
         machine=defaultdict(str, results.machine),
         hashes=hashes(folder, HASHED),
@@ -119,7 +119,8 @@ def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
     )
 
 
-def _page(lines: Iterable[Line]) -> str:
+def _page_svg(lines: Iterable[Line]) -> str:
+    """Render lines of text as one SVG page."""
     parts, y = [], float(MARGIN)
     for line in lines:
         y += line.size * 1.22 + line.gap

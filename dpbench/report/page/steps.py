@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.kept_runs import FORCES, KeptRun, Track
-from dpbench.analysis.records.thinning import share
+from dpbench.analysis.records.kept_runs import FORCES, KeptRun, Track, share
 from dpbench.arrays import Floats
 from dpbench.report.page.pack import Block
 

@@ -76,9 +76,9 @@ def _mean(study: Study, name: str) -> dict[str, Any]:
     """The mean over all seas with its interval [cm], and the share that is held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
-    if found.behind is None or found.behind.pairs == 0:
+    if found.error_excess_m is None or found.error_excess_m.pairs == 0:
         return known
-    return known | mean_cm(found.behind)
+    return known | mean_cm(found.error_excess_m)
 
 
 def _short(values: Iterable[float]) -> list[float | None]:

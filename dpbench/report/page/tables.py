@@ -10,7 +10,7 @@ import pandas as pd
 from dpbench.analysis.records.run_record import RunRecord, records_of
 from dpbench.analysis.verdict.places import Place
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.page.facts import Facts, number
+from dpbench.report.page.data import PageData, number
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "times": (
@@ -81,10 +81,10 @@ MOST_ROWS = 3000
 """So many runs the page lists; all are in a file."""
 
 
-def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
+def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     """The runs as columns of text and numbers; those without any value are left out."""
     runs = runs.iloc[:MOST_ROWS]
-    by_id = {run.run_id: key for key, run in facts.runs.items()}
+    by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     always = {
         "solver": runs["solver"],
@@ -92,7 +92,7 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
         "settings": runs["settings"],
         "where": map(_where, records_of(runs)),
         "outcome": runs["outcome"],
-        "demand": [_demand(facts, key) for key in keys],
+        "demand": [_demand(data, key) for key in keys],
     }
     columns: list[dict[str, Any]] = [
         {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
@@ -117,9 +117,9 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _demand(facts: Facts, key: tuple[int, int] | None) -> str:
+def _demand(data: PageData, key: tuple[int, int] | None) -> str:
     """What a run alone says of the demand; "" of one that is not judged by it."""
-    return "" if key is None or facts.places[key[1]].study else facts.state(*key)
+    return "" if key is None or data.places[key[1]].study else data.state(*key)
 
 
 def _where(run: RunRecord) -> str:

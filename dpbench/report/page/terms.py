@@ -1,5 +1,4 @@
-"""Terms in the texts of a page: each a link to the page's list of words, with its meaning to hover
-over."""
+"""Terms in the texts of a page, each a link to the page's glossary, and its list of scenarios."""
 
 from __future__ import annotations
 
@@ -7,9 +6,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup, escape
 
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.places import Place
+from dpbench.report.formats import share_text
 from dpbench.report.glossary import meanings, topics
+from dpbench.report.page.data import PageData
 
 PHRASES = {
     **{
@@ -111,3 +115,46 @@ class Terms:
     def words(self) -> list[Word]:
         """The list as it stands: what was asked for, then what was met beside."""
         return [word_of(term) for term in self._listed]
+
+
+MOST_PLACES = 60
+"""So many places the list of words explains."""
+
+
+def place_words(data: PageData) -> dict[int, Word]:
+    """The places that enter verdicts, by their number; those without a scenario are left out."""
+    first: dict[int, RunRecord] = {}
+    for (_, p), run in data.runs.items():
+        if p not in first or not first[p].has_steps:
+            first[p] = run
+    named = {
+        p: _describe_place(data, data.places[p], first[p]) for p in data.judged_places[:MOST_PLACES]
+    }
+    return {p: Word(f"place-{p}", data.places[p].label, said) for p, said in named.items() if said}
+
+
+def _describe_place(data: PageData, place: Place, run: RunRecord) -> str:
+    """Describe the scenario of a place, for the page, in plain text."""
+    scenario = data.scenario(run) if run.scenario else None
+    if scenario is None:
+        return ""
+    shows = re.split(r"(?<=\.)\s+(?=[A-Z])", scenario.shows.strip())[0]
+    parts = [f"{part.strip().rstrip('.')}." for part in (scenario.title, shows) if part.strip()]
+    if place.mode == "replay":
+        parts.append(_describe_replay(data, run))
+    if place.units == "si":
+        parts.append("Here in N and N·m as they come: an extra that no verdict counts.")
+    if place.slowdown > 0:
+        parts.append(f"Here on a computer × {place.slowdown:g} slower, whose answers come later.")
+    return " ".join(parts).replace("`", "")
+
+
+def _describe_replay(data: PageData, run: RunRecord) -> str:
+    """Which steps of the scenario, and how many of them have something to solve."""
+    first = run.first_step
+    window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
+    kept = data.kept.get(run.run_id)
+    if kept is None:
+        return f"Here {window}its exactly solved loop, replayed."
+    share = share_text(float(np.mean(kept.steps.n_active > 0)))
+    return f"Here {window}its exactly solved loop, replayed: limits are active in {share} of them."

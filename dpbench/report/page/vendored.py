@@ -15,7 +15,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-_ROOM = files("dpbench.report.page").joinpath("vendor")
+_VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 
 @dataclass(frozen=True)
@@ -41,25 +41,25 @@ class Vendored:
 def vendored() -> tuple[Vendored, ...]:
     """All of them, in the order the page loads them."""
     return tuple(
-        Vendored(**entry) for entry in json.loads(_ROOM.joinpath("vendored.json").read_text())
+        Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
     )
 
 
 @cache
 def script(entry: Vendored) -> str:
     """The text of a script, safe inside an HTML element."""
-    text = _ROOM.joinpath(entry.file).read_text(encoding="utf-8")
+    text = _VENDOR.joinpath(entry.file).read_text(encoding="utf-8")
     return text.replace("</script", "<\\/script")
 
 
 def digest(entry: Vendored) -> str:
     """The hash of the file as it lies there."""
-    return hashlib.sha256(_ROOM.joinpath(entry.file).read_bytes()).hexdigest()
+    return hashlib.sha256(_VENDOR.joinpath(entry.file).read_bytes()).hexdigest()
 
 
 def renew() -> None:
     """Fetch every script of the list anew, and write its hash; needs npm and the registry."""
-    room = Path(__file__).with_name("vendor")
+    vendor = Path(__file__).with_name("vendor")
     entries = []
     for entry in vendored():
         with tempfile.TemporaryDirectory() as folder:
@@ -70,10 +70,10 @@ def renew() -> None:
                 for member, name in ((entry.member, entry.file), ("LICENSE", entry.licence_file)):
                     taken = archive.extractfile(f"package/{member}")
                     assert taken is not None, f"{entry.package} has no {member}"
-                    (room / name).write_bytes(taken.read())
+                    (vendor / name).write_bytes(taken.read())
         entries.append(asdict(entry) | {"sha256": digest(entry)})
     text = json.dumps(entries, indent=2) + "\n"
-    (room / "vendored.json").write_text(text, encoding="utf-8")
+    (vendor / "vendored.json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

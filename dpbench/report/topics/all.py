@@ -11,7 +11,10 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
+from dpbench.report.topics.capability import capability_topic
+from dpbench.report.topics.conclusion import conclusion_topic
+from dpbench.report.topics.consequence import consequence_topic
 from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
@@ -23,10 +26,7 @@ from dpbench.report.topics.replays import (
 )
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
-from dpbench.report.topics.thrusters.capability import capability_topic
-from dpbench.report.topics.thrusters.conclusion import conclusion_topic
-from dpbench.report.topics.thrusters.consequence import consequence_topic
-from dpbench.report.topics.thrusters.thrusters import thrusters_topic
+from dpbench.report.topics.thrusters import thrusters_topic
 from dpbench.report.topics.trust import trust_topic
 from dpbench.report.topics.worst_case import worst_case_topic
 

@@ -1,19 +1,28 @@
-"""The paper: its figures 4-7 and its claims, each beside what the runs say."""
+"""The paper: its figures 4-7 and its claims, each with what the runs show.
+
+The wording of the claims is in `paper.toml`, what decides them in the analysis.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, laws_of
+from dpbench.analysis.suites.paper import PAPER, State, is_of_paper, judged, laws_of
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
-from dpbench.report.page import cite
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
-from dpbench.report.topics.claims import Claim, choices, claims
+from dpbench.report.words import beside, filled
 
+CITATION = """@misc{xia_dp_mpc,
+  author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
+  title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
+  howpublished = {Conference paper, College of Automation, Harbin Engineering University},
+}"""
+"""A copy of the paper names neither the conference nor the year, so neither is said."""
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
     ("errors", precision, "Fig. 5: errors of position and heading."),
@@ -34,7 +43,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
         id="paper",
         title="The paper",
         lines=(_headline(measured),),
-        paste=cite.PAPER,
+        paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),
@@ -103,3 +112,37 @@ def _bracket(bracket: Bracket | None) -> str:
     if bracket.holds_m == 0.0:
         return f"< {rounded_up(bracket.fails_m)}"
     return f"{rounded_down(bracket.holds_m)} – {rounded_up(bracket.fails_m)}"
+
+
+_WORDS = beside(__file__)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper, what was found, and whether it is reproduced."""
+
+    claim: str
+    found: str
+    state: State
+
+
+def claims(records: Records) -> list[Claim]:
+    """All claims, in the order of the paper."""
+    asked = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
+    said = _WORDS["found"]
+    return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
+
+
+def choices(records: Records) -> list[tuple[str, str]]:
+    """What the paper leaves open and what the scenario `paper` of these rows chose."""
+    scenario = records.scenario(PAPER)
+    if scenario is None or not is_of_paper(records, PAPER):
+        return []
+    chosen = {
+        "vessel": scenario.vessel,
+        "Q": scenario.Q,
+        "R": scenario.R,
+        "sea": scenario.files["scenario"]["environment"],
+        "duration_s": scenario.steps * scenario.sample_s,
+    }
+    return [(name, filled(words, **chosen)) for name, words in _WORDS["choices"].items()]

@@ -10,12 +10,12 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims, Tally
 from dpbench.report.charts.lines import tiles
 from dpbench.report.formats import and_list
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def _liars(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
-    """Whose they are, the most first, and who made none."""
+def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
+    """Count the false claims of each solver, the most first, and name solvers without any."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
     said = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
@@ -41,7 +41,8 @@ def random_topic(records: Records) -> Topic | None:
         id="random",
         title="Random QPs: what is claimed, what is true",
         lines=(
-            f"{wrong} false claims on {steps} certified steps: {_liars(by_solver)}.",
+            f"{wrong} false claims on {steps} certified steps: "
+            f"{_false_claims_by_solver(by_solver)}.",
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),

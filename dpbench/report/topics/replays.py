@@ -10,14 +10,18 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.times.contrasts import common_replays, fastest_forms, right_levels
+from dpbench.analysis.times.contrasts import (
+    common_replays,
+    fastest_forms,
+    right_levels,
+    route_gains,
+)
 from dpbench.analysis.times.pairs import paired
-from dpbench.analysis.times.routes import native_comparisons, route_comparisons
 from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 
@@ -27,15 +31,11 @@ def routes_topic(records: Records) -> Topic | None:
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for compared in native_comparisons(route_comparisons(records, sequence)):
-            for route in compared.times:
-                beside = compared.compare(route)
-                if beside is None:
-                    continue
-                change = f"{' '.join(beside.above)} → {' '.join(route)}"
-                gains.setdefault(change, []).append(beside.gain.value)
-                figures = _ratio_text(beside.gain), time_text(compared.median_ns(route))
-                rows.append((compared.solver, compared.settings, change, *figures))
+        for found in route_gains(records, sequence):
+            change = f"{' '.join(found.above)} → {' '.join(found.route)}"
+            gains.setdefault(change, []).append(found.gain.value)
+            figures = _ratio_text(found.gain), time_text(found.median_ns)
+            rows.append((found.solver, found.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
             tables.append(Table(head, tuple(rows), sequence))

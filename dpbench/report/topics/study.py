@@ -20,7 +20,7 @@ from dpbench.analysis.suites.study import (
 )
 from dpbench.report.charts.study import behind, held_lines, held_maps
 from dpbench.report.formats import MISSING, and_list, plural, significant
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
@@ -68,7 +68,7 @@ def _lines(study: Study) -> Iterator[str]:
 def _separated(study: Study) -> str:
     """Which configurations have a significantly larger error than the reference, and which not."""
     others = study.configurations[1:]
-    worse = sorted((c for c in others if c.is_behind), key=lambda c: -_mean(c))
+    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean(c))
     said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
@@ -151,7 +151,7 @@ def _tables(study: Study) -> Iterator[Table]:
 
 
 def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
-    behind_it, dearer = configuration.behind, configuration.dearer
+    behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
@@ -183,7 +183,7 @@ def _percent(share: float) -> str:
 
 
 def _mean(configuration: StudiedConfiguration) -> float:
-    return 0.0 if configuration.behind is None else configuration.behind.mean.value
+    return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value
 
 
 def _cm(metres: float) -> str:

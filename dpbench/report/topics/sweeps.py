@@ -13,7 +13,7 @@ from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, move
 from dpbench.analysis.verdict.demand import MARGIN, Demand, cost_ratio
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 

@@ -22,7 +22,7 @@ from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
 from dpbench.report.machine_verdict import disturbance_facts, machine_facts, own_switches
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 
@@ -106,7 +106,7 @@ def trust_topic(records: Records) -> Topic | None:
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
         lines.append(_quiet_text(disturbance, records.machine))
-    facts = [
+    data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
         *own_switches(timed),
@@ -117,5 +117,5 @@ def trust_topic(records: Records) -> Topic | None:
         short="Trust",
         lines=(*lines, *COVERED),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(facts)),),
+        tables=(Table(("machine", ""), tuple(data)),),
     )

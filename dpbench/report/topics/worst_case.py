@@ -9,7 +9,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.bench.judge.rules import median
 from dpbench.report.formats import MISSING, count_text, error_text, time_text
-from dpbench.report.page.topic import Topic
+from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 from dpbench.report.verdict_text import answer_text
 

@@ -9,6 +9,7 @@ from pydantic import Field
 # Bounds far beyond any ship, so that a slip of the keyboard is an error and not an overflow.
 Number = Annotated[float, Field(ge=-1e15, le=1e15)]
 Positive = Annotated[float, Field(gt=0, le=1e15)]
+Length = Annotated[float, Field(ge=1e-3, le=1e6)]
 NotNegative = Annotated[float, Field(ge=0, le=1e15)]
 Seconds = Annotated[float, Field(ge=1e-4, le=1e6)]
 Degrees = Annotated[float, Field(ge=-36000, le=36000)]

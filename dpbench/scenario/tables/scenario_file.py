@@ -5,13 +5,12 @@ Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from dpbench.arrays import Vector
-from dpbench.mpc.reference import ReferenceFilter
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables.key_types import (
     Count,
@@ -32,6 +31,9 @@ from dpbench.scenario.tables.key_types import (
 )
 from dpbench.scenario.tables.weather import EnvironmentTable
 from dpbench.ship.froude import Froude
+
+if TYPE_CHECKING:
+    from dpbench.mpc.reference import ReferenceFilter
 
 
 class EstimatorTable(FileModel):
@@ -265,6 +267,9 @@ class ReferenceTable(PoseTable):
         """The filter in SI; None for none."""
         if self.filter is None:
             return None
+        # To read a file takes none of the compiled modules.
+        from dpbench.mpc.reference import ReferenceFilter
+
         return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping)
 
 
@@ -295,3 +300,8 @@ class ScenarioFile(FileModel):
     """How the true ship differs from the model; not at all by default."""
     faults: list[FaultTable] = []
     """What is lost when; nothing by default."""
+
+    @property
+    def steps(self) -> int:
+        """Number of samples of the run."""
+        return round(self.duration_s / self.sample_s)

@@ -15,6 +15,7 @@ from dpbench.arrays import Vector
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables.key_types import (
+    Length,
     NotNegative,
     Number,
     Positive,
@@ -200,7 +201,7 @@ class VesselFile(FileModel):
     """The ship in words."""
     source: str
     """Where the numbers come from."""
-    length_m: Positive
+    length_m: Length
     """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
     limits: LimitsTable | None = None
     """Limits of the control force and of its rate. Without it, what the thrusters give in each

@@ -65,7 +65,7 @@ class Loss:
     share: Callable[[float], float]
 
     def at(self, direction: float) -> float:
-        """The share at any direction; 1 where there is no loss."""
+        """Return the share at any direction; 1 where there is no loss."""
         inside = self.start + (direction - self.start) % TURN
         return self.share(inside) if inside < self.end else 1.0
 

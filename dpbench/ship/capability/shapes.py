@@ -47,7 +47,7 @@ def pieces(
     skegs: Sequence[Loss],
     step_rad: float,
 ) -> list[Piece]:
-    """The convex pieces of an azimuth; none where every direction is forbidden.
+    """Split the region of an azimuth into convex pieces; none if every direction is forbidden.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class _Edge:
         return dead * skegs
 
     def cut(self, start: float, end: float, step_rad: float) -> list[Piece]:
-        """The pieces between two directions."""
+        """Return the pieces between two directions."""
         corners = self._corners(start, end, step_rad)
         points = [self._point(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)
@@ -133,7 +133,7 @@ def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
 def _allowed(
     sector: tuple[float, float] | None, zones: Sequence[tuple[float, float]], edge: _Edge
 ) -> list[tuple[float, float]]:
-    """The directions left: the sector, or a whole turn, without the zones."""
+    """Return the directions left: the sector, or a whole turn, without the zones."""
     if sector is None:
         # A turn begins at the bottom of a notch, where it is cut anyway, or behind a zone.
         start = min(edge.kinks, key=edge.share) if not zones else zones[0][1]

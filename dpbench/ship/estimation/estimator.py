@@ -23,7 +23,7 @@ TURN = 2.0 * math.pi
 
 @njit(cache=True)
 def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
-    """The angle equal to heading_rad up to whole turns that lies within π of near_rad."""
+    """Return the angle equal to heading_rad up to whole turns that lies within π of near_rad."""
     return heading_rad + TURN * np.rint((near_rad - heading_rad) / TURN)
 
 
@@ -47,7 +47,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """The estimate at the time of a measurement.
+        """Return the estimate at the time of a measurement.
 
         Parameters
         ----------
@@ -74,12 +74,16 @@ class MeasuredState(Estimator):
         self._first = True
 
     def start(self, state: Vector) -> None:
+        """Begin at the state (6,), with no change before it."""
         self._estimate[...] = state
         self.change[...] = 0.0
         self._first = True
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """The measurement and its difference to the last; ShapeError unless it is (6,)."""
+        """Return the measurement as the estimate; store its change since the last one.
+
+        ShapeError unless it is (6,).
+        """
         if measured.shape != (STATE,):
             raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
         estimate, change = self._estimate, self.change

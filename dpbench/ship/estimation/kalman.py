@@ -230,7 +230,7 @@ def _steady_state(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix
 
 
 def _continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """A, B, E, C of the module's equations, in SI."""
+    """Return A, B, E, C of the module's equations, in SI."""
     n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
     A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
@@ -338,6 +338,7 @@ class KalmanFilter(ModelObserver):
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
+        """Predict with τ, correct by the measured pose; return the estimate (6,)."""
         _filter_step(
             self._x,
             measured,

@@ -1,5 +1,6 @@
-"""What the two observers with a model share: the layout of their state, their start, their bias,
-and how the ship's state changed over the last sample, by the model and one estimate.
+"""Common parts of the two observers with a model: layout of the state, start, bias.
+
+Also the change of the ship's state over the last sample, by the model and one estimate.
 
     x   0    3    6    9    12   15
         │ η  │ b  │ ν  │ ξ1 │ ξ2 │       three each: surge or north, sway or east, yaw

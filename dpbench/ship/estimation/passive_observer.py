@@ -208,6 +208,7 @@ class PassiveObserver(ModelObserver):
         self._pose[...] = state[POSE]
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
+        """Advance by a sample with τ and the measured pose; return the estimate (6,)."""
         _observer_step(
             self._x,
             self._pose,

@@ -38,7 +38,7 @@ class WaveModel:
 
     @classmethod
     def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
-        """The same peak and JONSWAP's damping in every axis."""
+        """Make a model with the same peak and JONSWAP's damping in every axis."""
         return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
     @property

@@ -28,7 +28,7 @@ class Squall:
     force: Vector
 
     def at(self, t_s: ArrayLike) -> Matrix:
-        """The force at the times t_s (...,): (..., 3) [N, N, N·m]."""
+        """Return the force at the times t_s (...,): (..., 3) [N, N, N·m]."""
         end_s = self.hold_until_s + self.decay_s
         corners = [self.start_s, self.start_s + self.rise_s, self.hold_until_s, end_s]
         share = np.interp(np.asarray(t_s, dtype=np.float64), corners, [0.0, 1.0, 1.0, 0.0])

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """The stream of the source `name` under `seed` (0 or more), at its beginning.
+    """Return the stream of the source `name` under `seed` (0 or more), at its beginning.
 
     The generator is named (PCG64), because NumPy may change its default one.
     """

@@ -49,7 +49,7 @@ class Sea:
     gamma: float = 3.3
 
     def harmonics(self, seed: int) -> Harmonics:
-        """The waves of this seed, the same for drift and motion; Hs holds exactly."""
+        """Draw the waves of this seed, the same for drift and motion; Hs holds exactly."""
         omega_p = 2 * np.pi / self.tp_s
         return realise(
             lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),

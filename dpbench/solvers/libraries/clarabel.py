@@ -55,7 +55,7 @@ STATUS = {
 
 
 def claimed(status: Any, iterations: int, solve_s: float) -> Claim:
-    """What Clarabel says; it counts its set-up in the time it reports."""
+    """Read Clarabel's claim; it counts its set-up in the time it reports."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 

@@ -1,5 +1,7 @@
-"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied; and behind qpsolvers,
-which passes on whether an answer was found and nothing else."""
+"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied.
+
+Behind qpsolvers, which passes on whether an answer was found and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,7 @@ STARTS = {"primal_start", "dual_start"}
 
 
 def option_names() -> list[str]:
-    """The keywords of `daqp.solve` that are neither data nor a start."""
+    """List the keywords of `daqp.solve` that are neither data nor a start."""
     names = inspect.signature(import_module("daqp").solve).parameters
     return [name for name in names if name not in DATA | STARTS]
 

@@ -26,7 +26,7 @@ def is_served(name: str) -> bool:
 
 
 def generic_adapter(name: str) -> QpsolversAdapter:
-    """The adapter of a solver of which only the name is known; it checks no settings."""
+    """Make the adapter of a solver known by name only; it checks no settings."""
     unknown: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
     record = SolverRecord(
         name=name,

@@ -1,5 +1,7 @@
-"""HiGHS: two-sided, vectors changed in its model, no start; and behind qpsolvers, which passes on
-whether an answer was found and nothing else."""
+"""HiGHS: two-sided, vectors changed in its model, no start.
+
+Behind qpsolvers, which passes on whether an answer was found and nothing else.
+"""
 
 from __future__ import annotations
 

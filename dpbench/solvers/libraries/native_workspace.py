@@ -91,7 +91,7 @@ class NativeWorkspace(Workspace):
 
     @abstractmethod
     def _claimed(self) -> Claim:
-        """What the library says about its last answer."""
+        """Read the library's claim about its last answer."""
 
     @abstractmethod
     def _point(self) -> Point | None:
@@ -110,7 +110,7 @@ class NativeWorkspace(Workspace):
             setattr(settings, name, value)
 
     def _limits_of_all(self) -> tuple[Vector, Vector]:
-        """New buffers for the limits of [A; I], with the bounds in their places."""
+        """Make buffers for the limits of [A; I], with the bounds in their places."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
@@ -208,7 +208,7 @@ class NativeWorkspace(Workspace):
             self._fail(error)
 
     def read(self) -> Solution:
-        """The answer; one that nobody can use makes the next update start from nothing."""
+        """Return the answer; one that nobody can use makes the next update start from nothing."""
         if self._n < 0:
             raise not_set_up("read")
         if self._failure:
@@ -292,7 +292,7 @@ class OneSidedWorkspace(NativeWorkspace):
             self._build_for(q, low, high)
 
     def _rows(self) -> tuple[Matrix, int, int]:
-        """[A; G], the number of equalities and that of inequalities."""
+        """Return [A; G], the number of equalities and that of inequalities."""
         parts = [M for M in (self._form.A, self._form.G) if M is not None]
         rows = np.vstack(parts) if parts else np.empty((0, self._n))
         equalities = 0 if self._form.b is None else self._form.b.size
@@ -336,5 +336,5 @@ def _same(kept: Matrix, given: Matrix) -> bool:
 
 
 def stacked(A: Matrix, n: int) -> Matrix:
-    """[A; I]: bounds as rows, for a library that has rows only."""
+    """Stack bounds as rows, [A; I], for a library that has rows only."""
     return np.vstack([A, np.eye(n)])

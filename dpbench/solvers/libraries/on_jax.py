@@ -43,7 +43,7 @@ def read_jaxopt_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 def jaxopt_option_names() -> list[str]:
-    """The fields of `jaxopt.BoxOSQP`, to which `jaxopt.OSQP` hands its keywords on."""
+    """List the fields of `jaxopt.BoxOSQP`, to which `jaxopt.OSQP` hands its keywords on."""
     names = inspect.signature(import_module("jaxopt").BoxOSQP).parameters
     return [name for name in names if name not in JAXOPT_STRUCTURE]
 

@@ -1,5 +1,7 @@
-"""OSQP: its extension module, vectors updated, start given or cold, data copied by it; status
-values of its C library, time in seconds."""
+"""OSQP: its extension module, vectors updated, start given or cold, data copied by it.
+
+Status values of its C library, time in seconds.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ from dpbench.solvers.record import (
 
 
 def build() -> Build:
-    """The linear algebra it takes when none is asked for."""
+    """Read the linear algebra it takes when none is asked for."""
     return Build(f"algebra {import_module('osqp').default_algebra()}")
 
 

@@ -1,5 +1,7 @@
-"""PIQP, dense, sparse or by stages: vectors updated, no start; its status enumeration, time in
-seconds."""
+"""PIQP, dense, sparse or by stages: vectors updated, no start.
+
+Its status enumeration, time in seconds.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,7 @@ class PiqpWorkspace(NativeWorkspace):
         )
 
     def _library_object(self) -> Any:
-        """An object of the library at its defaults."""
+        """Make an object of the library at its defaults."""
         library = self._library
         return library.SparseSolver() if self.form == "csc" else library.DenseSolver()
 
@@ -126,7 +128,7 @@ class PiqpWorkspace(NativeWorkspace):
         self._solver = solver
 
     def _limits(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """The limits of the rows in the library's words."""
+        """Return the limits of the rows in the library's words."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}

@@ -94,7 +94,7 @@ DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "ver
 
 
 def keywords() -> list[str]:
-    """The keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
+    """List the keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 

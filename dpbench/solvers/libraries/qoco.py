@@ -76,14 +76,21 @@ class QocoWorkspace(OneSidedWorkspace):
             verbose=0,
             **self._options,
         )
+        # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
+        # qoco 0.3 never frees; its own `solve()` looks 14 times.
+        self._result = self._solver._solver.solution
 
     def _send(self) -> None:
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
+    def _call(self) -> None:
+        self._solver._solver.solve()
+
     def _claimed(self) -> Claim:
         result = self._result
-        name, took_ns = str(result.status), round(result.solve_time_sec * 1e9)
+        name = self._solver.solvecodes[result.status]
+        took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
     def _point(self) -> Point:

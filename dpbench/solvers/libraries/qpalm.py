@@ -1,5 +1,7 @@
-"""QPALM: two-sided, vectors updated, start given or cold; status texts of its C library, time in
-seconds."""
+"""QPALM: two-sided, vectors updated, start given or cold.
+
+Status texts of its C library, time in seconds.
+"""
 
 from __future__ import annotations
 

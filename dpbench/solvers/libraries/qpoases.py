@@ -122,7 +122,7 @@ class QpoasesWorkspace(NativeWorkspace):
 
 
 def option_names() -> list[str]:
-    """qpOASES's options as casadi documents them."""
+    """List qpOASES's options as casadi documents them."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 

@@ -83,7 +83,10 @@ class QpsolversWorkspace(Workspace):
             self._prepare(base.at(step).copy())
 
     def _shifted_start(self, block: int) -> np.ndarray | None:
-        """The previous answer one move later, its last move zero; None without a usable one."""
+        """Return the previous answer one move later, its last move zero.
+
+        None without a usable one.
+        """
         if self._unread:
             self.read()
         if self._last is None or block == 0:
@@ -110,7 +113,7 @@ class QpsolversWorkspace(Workspace):
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
-        """The answer with its multipliers mapped to the two-sided problem."""
+        """Return the answer with its multipliers mapped to the two-sided problem."""
         if self._base is None:
             raise not_set_up("read")
         n, m = self._base.n, self._base.m

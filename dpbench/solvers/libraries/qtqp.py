@@ -53,7 +53,7 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 def option_names() -> list[str]:
-    """The keywords of `QTQP.solve` that are no start."""
+    """List the keywords of `QTQP.solve` that are no start."""
     names = inspect.signature(import_module("qtqp").QTQP.solve).parameters
     return [name for name in names if name not in ("self", "verbose", "warm_start")]
 

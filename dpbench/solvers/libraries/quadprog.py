@@ -1,12 +1,14 @@
-"""quadprog: one-sided, the inverse factor of P made once; behind qpsolvers it either solves, or
-raises that there is no solution."""
+"""quadprog: one-sided, the inverse factor of P made once.
+
+Behind qpsolvers it either solves, or raises that there is no solution.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
@@ -69,6 +71,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._solve_qp = self._library.solve_qp
+        self._linalg = import_module("scipy.linalg")
         self._status, self._words = Status.UNKNOWN, ""
 
     def _arrange(self) -> None:
@@ -82,8 +85,8 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
         if self._factorized:
-            upper = scipy.linalg.cholesky(self._P, lower=False)
-            inverse = scipy.linalg.solve_triangular(upper, np.eye(self._n), lower=False)
+            upper = self._linalg.cholesky(self._P, lower=False)
+            inverse = self._linalg.solve_triangular(upper, np.eye(self._n), lower=False)
             self._matrix = np.asfortranarray(inverse)
         self._send()
 

@@ -1,5 +1,7 @@
-"""SCS: one-sided, vectors updated, start given or cold; status values of its C library, time in
-milliseconds."""
+"""SCS: one-sided, vectors updated, start given or cold.
+
+Status values of its C library, time in milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,7 @@ OPTION_NAMES = (
 
 
 def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """What SCS's information about a solve says."""
+    """Read SCS's claim from its information about a solve."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:

@@ -1,4 +1,4 @@
-"""The solvers of this house: their records, and how each is opened.
+"""Records of dpbench's own solvers, and how each is opened.
 
 What is compiled is loaded, or compiled at the first time, only when it is asked for.
 """

@@ -1,4 +1,4 @@
-"""What the solvers of this house that are compiled have in common: all of a step but the solve.
+"""Common base of dpbench's own compiled solvers: all of a step but the solve.
 
 The problem is kept as the array S of `active_set.layout`; `solve` of a subclass is a compiled
 call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.
@@ -36,7 +36,10 @@ class CompiledWorkspace(Workspace):
         self._unusual: Solution
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """The constants of `qp`; a P that is not positive definite shows as ERROR when solved."""
+        """Write the constants of `qp`.
+
+        A P that is not positive definite shows as ERROR when solved.
+        """
         self._prepare(qp.copy())
 
     def _prepare(self, qp: QuadraticProgram) -> None:
@@ -89,7 +92,7 @@ class CompiledWorkspace(Workspace):
         self._ending = layout.UNDECIDED
 
     def read(self) -> Solution:
-        """The answer; every call gives it in new memory."""
+        """Return the answer; every call gives it in new memory."""
         ending = self._ending
         if ending >= 0:
             return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
@@ -116,14 +119,14 @@ class CompiledWorkspace(Workspace):
         return answer
 
     def _problem(self) -> QuadraticProgram:
-        """The current problem, in memory of its own."""
+        """Return the current problem, in memory of its own."""
         assert self._base is not None and self._S is not None
         base = self._known(self._base)
         q, low, high = (array.copy() for array in vectors(self._S, base.n, base.m))
         return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
 
     def _known(self, base: QuadraticProgram) -> QuadraticProgram:
-        """What was set up, with the rows that were taken over since."""
+        """Return the problem of the set-up, with the rows that were taken over since."""
         if self._others and self._S is not None:
             base = self._base = replace(base, A=self._constraints[0].copy())
             self._others = False
@@ -135,6 +138,6 @@ class CompiledWorkspace(Workspace):
         return Solution.missing(self._base.n, self._base.m, status, detail)
 
     def reset(self) -> None:
-        """The next solve starts from the empty set."""
+        """Start the next solve from the empty set."""
         if self._S is not None:
             self._S[layout.HEAD, layout.STALE] = 1.0

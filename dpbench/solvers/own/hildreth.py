@@ -89,7 +89,10 @@ from dpbench.solvers.own.safeguards.proof import contradicts
 
 @compiled
 def carry_over(S: Matrix, width: int) -> None:
-    """The multipliers move on by one move, those of the last move stay; or all become zero."""
+    """Shift the multipliers by one move, those of the last move stay.
+
+    Or set all to zero.
+    """
     n, n_pad, m = int(S[HEAD, N]) & MASK, int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M]) & MASK
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0:
@@ -104,7 +107,7 @@ def carry_over(S: Matrix, width: int) -> None:
 
 @compiled
 def evaluate_all(S: Matrix, H: int, width: int) -> None:
-    """v = v₀ − H λ, from nothing."""
+    """Compute v = v₀ − H λ, from nothing."""
     for i in range(width):
         S[V, i] = S[V0, i]
     for r in range(width):
@@ -151,6 +154,7 @@ def impossible(S: Matrix, H: int, width: int) -> bool:
 
 @compiled
 def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
+    """Sweep until λ settles; return the number of sweeps, or a negative ending."""
     n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, _, H, _, _, _ = starts(n, width)
     carry_over(S, width)

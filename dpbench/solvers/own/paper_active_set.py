@@ -86,7 +86,10 @@ class PaperActiveSet(CompiledWorkspace):
         return None
 
     def _solved(self, qp: QuadraticProgram, iterations: int) -> None:
-        """The answer in S meets the optimality conditions; whether it is near the optimum."""
+        """Keep the answer in S, which meets the optimality conditions.
+
+        INACCURATE where that does not show it to be near the optimum.
+        """
         detail = self._doubt(qp)
         if detail:
             z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
@@ -110,7 +113,7 @@ class PaperActiveSet(CompiledWorkspace):
 
 
 def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:
-    """The answer; a claim of infeasibility less the entries of its ray that are rounding.
+    """Return the answer, a ray of infeasibility less those of its entries that are rounding.
 
     A claim that its ray does not bear out is withdrawn.
     """

@@ -1,4 +1,4 @@
-"""Importing this module loads or compiles the kernels of this house's own solvers.
+"""Importing this module loads or compiles the kernels of dpbench's own solvers.
 
 A template that cells are forked from imports it where a cell runs one of them, so that no step of a
 run has to.

@@ -52,7 +52,7 @@ class Unconstrained(Workspace):
             self._z = scipy.linalg.cho_solve((self._factor, True), -self._q, check_finite=False)
 
     def read(self) -> Solution:
-        """The law claims nothing about the constrained problem: UNKNOWN, zero multipliers."""
+        """Return the law's answer, which claims nothing: UNKNOWN, zero multipliers."""
         if self._base is None:
             raise not_set_up("read")
         n, m = self._base.n, self._base.m

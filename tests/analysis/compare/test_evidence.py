@@ -11,8 +11,8 @@ from dpbench.analysis.compare.evidence import (
     Evidence,
     Prior,
     assess,
-    gather,
-    gather_against,
+    remove_machine_factor,
+    remove_reference_factor,
 )
 from dpbench.analysis.statistics import holm
 
@@ -63,7 +63,7 @@ def test_no_change_is_no_claim(count: int) -> None:
     for _ in range(300):
         logs, own = configurations(rng, count, FLAT.sd)
         logs = logs - (np.log(1.3) if count < 4 else 0.0)
-        found = assess(gather(logs, own, ["paper"] * count, FLAT), 0.05, 0.05)
+        found = assess(remove_machine_factor(logs, own, ["paper"] * count, FLAT), 0.05, 0.05)
         false += any(one.verdict in ("slower", "faster") for one in found)
     assert false <= stats.binom.ppf(0.999, 300, 0.05)
 
@@ -108,7 +108,7 @@ def test_a_planted_change_is_found_and_no_other_configuration_pays_for_it() -> N
     for _ in range(200):
         logs, own = configurations(rng, 12, FLAT.sd)
         logs[4] += np.log(1.15)
-        found = assess(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)
+        found = assess(remove_machine_factor(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
     assert hit >= 190
@@ -123,7 +123,10 @@ def test_a_noisy_machine_is_noticed() -> None:
     for _ in range(100):
         logs, own = configurations(rng, 12, 0.08)
         logs[0] += np.log(1.15)
-        hit += assess(gather(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)[0].verdict == "slower"
+        hit += (
+            assess(remove_machine_factor(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)[0].verdict
+            == "slower"
+        )
     assert hit <= 30
 
 
@@ -131,7 +134,9 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
     """Two sequences with machine factors 1.2 and 0.9; each configuration is judged by its
     neighbours."""
     logs = np.log(np.array([1.2, 1.2, 1.2, 1.2, 0.9, 0.9, 0.9, 1.8]))
-    found = gather(logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, CONFIGURATION_NOISE)
+    found = remove_machine_factor(
+        logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, CONFIGURATION_NOISE
+    )
     assert np.exp(found.machine) == pytest.approx([1.2] * 4 + [0.9] * 4)
     assert np.exp(found.effect[7]) == pytest.approx(2.0)
 
@@ -139,9 +144,9 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
 def test_the_error_inside_the_runs_counts() -> None:
     """A wide error of a configuration's own leaves a large ratio without a verdict."""
     logs = np.array([0.0, 0.0, 0.0, 0.0, np.log(1.3)])
-    quiet = assess(gather(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
+    quiet = assess(remove_machine_factor(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
     own = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
-    loud = assess(gather(logs, own, ["paper"] * 5), 0.05, 0.05)
+    loud = assess(remove_machine_factor(logs, own, ["paper"] * 5), 0.05, 0.05)
     assert (quiet[4].verdict, loud[4].verdict) == ("slower", "no difference shown")
 
 
@@ -156,7 +161,9 @@ def test_the_error_inside_the_runs_counts_once() -> None:
     for _ in range(200):
         logs = 0.02 * rng.standard_normal(12)
         logs[4] += np.log(1.15)
-        found = assess(gather(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05)
+        found = assess(
+            remove_machine_factor(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05
+        )
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
     assert hit >= 120
@@ -167,7 +174,9 @@ def test_a_machine_that_nothing_tells_leaves_no_verdict() -> None:
     """Two configurations, no kernel that stands for the machine: any ratio may be the machine's."""
     unknown = np.full(2, np.nan)
     logs = np.log([3.0, 1.0])
-    found = assess(gather(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05)
+    found = assess(
+        remove_machine_factor(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05
+    )
     assert [one.verdict for one in found] == ["no difference shown"] * 2
     assert [(one.ratio.low, one.ratio.high) for one in found] == [(0.0, np.inf)] * 2
 
@@ -182,7 +191,7 @@ def test_false_claims_against_a_reference_are_rare() -> None:
     for _ in range(400):
         logs = 0.4 + 0.1 * rng.standard_normal(10)
         logs[9] += np.log(3.0)
-        evidence = gather_against(logs, np.full(10, 0.01), groups, rows)
+        evidence = remove_reference_factor(logs, np.full(10, 0.01), groups, rows)
         verdicts = [one.verdict for one in assess(evidence, 0.05, 0.05)]
         false += any(verdict in ("slower", "faster") for verdict in verdicts[1:9])
         missed += verdicts[9] != "slower"
@@ -193,6 +202,6 @@ def test_false_claims_against_a_reference_are_rare() -> None:
 def test_without_a_reference_nothing_is_known() -> None:
     """A sequence that the reference did not replay has no claim."""
     logs = np.log([1.0, 9.0, 9.0])
-    evidence = gather_against(logs, np.zeros(3), ["a", "a", "b"], np.array([0, 0, -1]))
+    evidence = remove_reference_factor(logs, np.zeros(3), ["a", "a", "b"], np.array([0, 0, -1]))
     assert evidence.effect[:2] == pytest.approx([0.0, np.log(9.0)])
     assert [one.verdict for one in assess(evidence, 0.05, 0.05)][2] == "no difference shown"

@@ -16,10 +16,11 @@ from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
 
 TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
 DERIVED = [
-    "description",
-    "family",
-    "lost_group",
-    "at_edge_of",
+    "files",
+    "source",
+    "first",
+    "fallback",
+    "backup",
     "x",
     "default_route",
     "own_switches_a_step",
@@ -54,7 +55,7 @@ def test_every_column_is_read_as_its_type() -> None:
 
 
 def test_a_random_sequence_has_the_family_it_was_drawn_of() -> None:
-    recipe = {"family": "plain", "n": 8, "m": 12}
+    recipe = {"family": "plain", "n": 8, "m": 12, "seed": 1}
     record = _record(cell=json.dumps({"source": {"kind": "random", "recipe": recipe}}))
     assert record.family == "plain"
     recorded = _record(cell=json.dumps({"source": {"kind": "recorded", "name": "x"}}))

@@ -8,8 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest, run_steps
+from dpbench.analysis.records.run_steps import (
+    MEASURES,
+    Measure,
+    RunSteps,
+    counting_of,
+    hardest,
+    run_steps,
+)
 from dpbench.bench.record.schema import as_steps
 
 

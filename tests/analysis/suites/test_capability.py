@@ -13,7 +13,7 @@ from dpbench.analysis.suites.capability import Answers, answers_of, capability_p
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
-from dpbench.report.topics.thrusters.capability import capability_topic
+from dpbench.report.topics.capability import capability_topic
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}

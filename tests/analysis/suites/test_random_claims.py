@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
@@ -21,7 +22,7 @@ RECIPE = RandomRecipe("plain", 4, 6, 1)
 
 def cell(recipe: RandomRecipe = RECIPE) -> dict[str, str]:
     """The columns that make a row one of a random sequence."""
-    source = {"kind": "random", "name": recipe.name, "recipe": recipe.to_dict()}
+    source = {"kind": "random", "name": recipe.name, "recipe": asdict(recipe)}
     return {"scenario": "", "cell": json.dumps({"source": source})}
 
 

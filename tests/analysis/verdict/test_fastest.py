@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.work_precision import LevelPoint, level_points
+from dpbench.analysis.times.solver_tables import LevelPoint, level_points
 from dpbench.analysis.verdict.demand import Demand, is_right
-from dpbench.analysis.verdict.fastest import fastest_of, podium, ranked
+from dpbench.analysis.verdict.fastest import fastest_of, qualifying, ranked_qualifying
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
 from dpbench.report.report import Report
 from dpbench.report.verdict_text import judged_on
@@ -20,7 +20,7 @@ def _found(records: Any) -> Verdicts:
 
 
 def _labels(records: Any) -> list[str]:
-    return [verdict.configuration.label for verdict in ranked(_found(records))]
+    return [verdict.configuration.label for verdict in qualifying(_found(records))]
 
 
 def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
@@ -64,8 +64,8 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    assert [judged_on(v) for v in ranked(_found(records))] == ["1 replay", "1 replay"]
-    text = Report.of(records.results()).answer.sentence
+    assert [judged_on(v) for v in qualifying(_found(records))] == ["1 replay", "1 replay"]
+    text = Report.of(records.results()).recommendation.sentence
     assert text.startswith("Nothing contradicts daqp (native, warm, default): right on every step")
     assert "of 1 replay" in text and "no closed loop was run" in text
 
@@ -105,7 +105,7 @@ def test_figures_come_from_the_sequence_with_the_worst_p99(records: Any) -> None
     """
     records.replay("daqp", steps=1000, median_us=10.0, spread=0.0)
     records.replay("daqp", "rough[900:1100]", steps=200, median_us=30.0, spread=0.0)
-    (found,) = ranked(_found(records))
+    (found,) = qualifying(_found(records))
     assert (found.p50_ns, found.p99_ns, found.timed_on) == (10e3, 10e3, "paper")
     assert found.algo_max_ns == 30e3
 
@@ -114,8 +114,8 @@ def test_short_sequences_have_a_fastest_configuration_without_p99(records: Any) 
     """With too few steps for a p99 the largest step ranks, and the text says so."""
     records.replay("slow", steps=100, median_us=40.0)
     records.replay("fast", steps=100, median_us=10.0)
-    assert [v.configuration.solver for v in ranked(_found(records))] == ["fast", "slow"]
-    assert math.isnan(ranked(_found(records))[0].p99_ns)
+    assert [v.configuration.solver for v in qualifying(_found(records))] == ["fast", "slow"]
+    assert math.isnan(qualifying(_found(records))[0].p99_ns)
     records.replay("daqp", steps=100, median_us=5.0)
     assert "p99" not in records.ending()["answer"] and "p50" in records.ending()["answer"]
 
@@ -212,5 +212,5 @@ def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> No
     records.loop("osqp")
     if fill:
         records.replay("osqp", error=0.5)
-    assert Report.of(records.results()).answer.sentence.startswith(says)
-    assert podium(_found(records)) == []
+    assert Report.of(records.results()).recommendation.sentence.startswith(says)
+    assert ranked_qualifying(_found(records)) == []

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom, poisson
 
-from dpbench.analysis.records.delays import delays_of
+from dpbench.analysis.records.step_times import delays_by_run, delays_of
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
@@ -133,7 +134,8 @@ def test_a_loop_is_late_beyond_its_context_switches(
 def test_delays_of_two_rounds_by_hand() -> None:
     """Steps of 10, 20 and 30 ns; the second round has one at 45 of 20 ns."""
     repeat, k = np.array([1, 1, 1, 2, 2, 2]), np.array([0, 1, 2, 0, 1, 2])
-    delays = delays_of(repeat, k, np.array([10.0, 20.0, 30.0, 20.0, 45.0, 31.0]))
+    times = np.array([10.0, 20.0, 30.0, 20.0, 45.0, 31.0])
+    delays = delays_of(repeat, k, times, np.full(6, np.nan))
     assert delays.base_ns.tolist() == [60.0, 60.0]
     assert delays.delay_ns.tolist() == [45.0] and delays.own_ns.tolist() == [20.0]
     assert delays.count_late(44.0).tolist() == [0, 1]
@@ -144,9 +146,109 @@ def test_delays_of_two_rounds_by_hand() -> None:
 
 def test_delays_of_a_loop_are_its_timings_above_the_median() -> None:
     """One round has no fastest time of a step; a step without a computation has none at all."""
-    delays = delays_of(np.zeros(5, np.int64), np.arange(5), np.array([1.0, 2.0, 3.0, 9.0, np.nan]))
+    times = np.array([1.0, 2.0, 3.0, 9.0, np.nan])
+    delays = delays_of(np.zeros(5, np.int64), np.arange(5), times, np.full(5, np.nan))
     assert (delays.step_ns, delays.samples.tolist()) == (2.5, [4])
     assert delays.delay_ns.tolist() == [3.0, 9.0]
+
+
+def _waiting(records: Any, solver: str, waited_ns: float, **columns: Any) -> None:
+    """A replay with four timings of 10 ms a round, in which it waited for the core for so long.
+
+    They are of other steps in each round, and no other step waited.
+    """
+    records.replay(solver, rounds=5, median_us=20.0, spread=0.0, **columns)
+    frame = records._steps[-1]
+    late = (frame["k"] - frame["repeat"]).isin([100, 300, 500, 700])
+    frame.loc[late, "total_ns"] = 10_000_000
+    frame["waited_ns"] = np.where(late, waited_ns, 0)
+
+
+@pytest.mark.parametrize(
+    ("waited_ns", "state"), [(9_980_000, "meets"), (9_000_000, "open"), (0, "open")]
+)
+def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, state: str) -> None:
+    """Others waited as long and as often, so that the gross timings would contradict nobody.
+
+    A solver that took the core all the while was late by itself.
+    """
+    for solver in ("daqp", *HONEST):
+        records.loop(solver)
+        _waiting(records, solver, waited_ns if solver == "daqp" else 9_980_000)
+    assert _verdict(records).state == state
+    assert _verdict(records, "ecos").state == "meets"
+
+
+@pytest.mark.parametrize(("switches", "state"), [(2499, "open"), (2500, "meets")])
+def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -> None:
+    """A solver that waits in half of its 5000 calls waits for threads, whose wait for the core is
+    not in its own: its timings are compared as they are."""
+    for solver in ("daqp", *HONEST):
+        records.loop(solver)
+        waited_ns = 0 if solver == "daqp" else 9_980_000
+        own = {"voluntary_switches": switches} if solver == "daqp" else {}
+        _waiting(records, solver, waited_ns, **own)
+    assert _verdict(records).state == state
+
+
+@pytest.mark.parametrize(("waited_ns", "state"), [(9_980_000, "meets"), (0, "late")])
+def test_a_loop_is_late_beyond_its_waits(records: Any, waited_ns: float, state: str) -> None:
+    """47 of 450 timings; where waits are known, context switches explain nothing beyond them."""
+    records.loop("daqp", steps=450, raw_p50_ns=20e3, involuntary_switches=100)
+    frame = records._steps[-1]
+    frame.loc[:46, "total_ns"] = 10_000_000
+    frame["waited_ns"] = np.where(np.arange(450) < 47, waited_ns, 0)
+    records.replay("daqp", median_us=20.0)
+    assert _verdict(records).state == state
+
+
+def test_delays_know_waits_where_all_are_recorded() -> None:
+    """Two rounds of two steps of 10 and 20 ns; the timing of 50 ns waited for 35 ns."""
+    steps = pd.DataFrame(
+        {
+            "run_id": ["a"] * 4 + ["b"] * 4,
+            "repeat": [1, 1, 2, 2] * 2,
+            "k": [0, 1, 0, 1] * 2,
+            "counts": True,
+            "total_ns": pd.array([10, 20, 10, 50] * 2, dtype="Int64"),
+            "waited_ns": pd.array([0, 0, 0, 35, 0, 0, None, 35], dtype="Int64"),
+        }
+    )
+    delays = dict(delays_by_run(steps))
+    assert [one.knows_waits for one in delays.values()] == [True, False]
+    assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
+    assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
+    assert delays["a"].gross().net_ns.tolist() == [50.0]
+    assert delays["a"].base_ns.tolist() == [30.0, 30.0]
+
+
+@pytest.mark.parametrize(
+    ("waited_ns", "late", "stalls"),
+    [
+        (0.0, 1, 1),
+        (79.0, 1, 1),  # 21 ns are its own, 11 more than usual: over a tenth of 100 ns
+        (80.0, 0, 0),
+        (90.0, 0, 0),
+    ],
+)
+def test_a_delay_is_late_if_a_tenth_of_the_limit_is_its_own(
+    waited_ns: float, late: int, stalls: int
+) -> None:
+    """A step of 10 ns that took 101 ns, beyond a limit of 100 ns, and half of it."""
+    repeat, k = np.array([1, 2]), np.array([0, 0])
+    delays = delays_of(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
+    assert delays.count_late(100.0).tolist() == [0, late]
+    assert delays.count_late(101.0).tolist() == [0, 0]
+    assert delays.count_stalls(50.0).tolist() == [0, stalls]
+    assert delays.gross().count_late(100.0).tolist() == [0, 1]
+
+
+def test_a_hard_step_is_late_by_itself() -> None:
+    """In a loop whose median is near the limit, a step little beyond it is late all the same."""
+    times = np.array([99.0, 99.0, 99.0, 102.0])
+    delays = delays_of(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
+    assert delays.count_late(100.0).tolist() == [1]
+    assert delays.count_late(101.0).tolist() == [0]
 
 
 def test_an_even_machine_is_a_poisson_process() -> None:

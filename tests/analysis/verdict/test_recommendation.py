@@ -10,14 +10,14 @@ import pytest
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import (
     best_of_each,
+    choose_solver,
+    deployment_blocker,
     family_of,
     fastest_first,
     fastest_of,
     known_record,
-    podium,
-    ranked,
-    recommend,
-    why_not_aboard,
+    qualifying,
+    ranked_qualifying,
 )
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -81,8 +81,8 @@ def test_only_the_most_widely_timed_are_ranked() -> None:
         _verdict("absent", 10.0, replays=3, gaps=(Finding("absent"),)),
         _verdict("untimed", 10.0, replays=3, timed_on=""),
     )
-    assert [v.configuration.solver for v in ranked(verdicts)] == ["piqp", "daqp"]
-    assert ranked(_verdicts()) == []
+    assert [v.configuration.solver for v in qualifying(verdicts)] == ["piqp", "daqp"]
+    assert qualifying(_verdicts()) == []
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_another_route_is_never_alike(routes: tuple[str, str]) -> None:
     """Usual settings of another route do not replace the fastest ones."""
     best = _verdict("daqp", 100.0, settings="high", route=routes[0])
     usual = _verdict("daqp", 101.0, route=routes[1])
-    assert podium(_verdicts(usual, best)) == [best]
+    assert ranked_qualifying(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize("policies", [("reuse", "fresh"), ("fresh", "reuse")])
@@ -118,7 +118,7 @@ def test_another_policy_is_never_alike(policies: tuple[str, str]) -> None:
     """Usual settings of another policy do not replace the fastest ones."""
     best = _verdict("daqp", 100.0, settings="high", policy=policies[0])
     usual = _verdict("daqp", 101.0, policy=policies[1])
-    assert podium(_verdicts(usual, best)) == [best]
+    assert ranked_qualifying(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize(
@@ -151,10 +151,10 @@ def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
         _verdict("daqp", 20.0),
         _verdict("piqp", 30.0),
     )
-    found = recommend(_verdicts(third, second, fast))
+    found = choose_solver(_verdicts(third, second, fast))
     assert (found.chosen, found.runner_up, found.faster) == (second, third, fast)
-    assert found.because == why_not_aboard(BENCHMARK_CODE) != ""
-    alone = recommend(_verdicts(second, third))
+    assert found.because == deployment_blocker(BENCHMARK_CODE) != ""
+    alone = choose_solver(_verdicts(second, third))
     assert (alone.chosen, alone.runner_up, alone.faster) == (second, third, None)
     assert alone.because == ""
 
@@ -162,9 +162,9 @@ def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
 def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
     """The fastest is still named, and an empty folder names nobody."""
     fast = _verdict(BENCHMARK_CODE, 10.0)
-    found = recommend(_verdicts(fast))
+    found = choose_solver(_verdicts(fast))
     assert (found.chosen, found.runner_up, found.faster) == (None, None, fast)
-    empty = recommend(_verdicts())
+    empty = choose_solver(_verdicts())
     assert (empty.chosen, empty.runner_up, empty.faster, empty.because) == (None, None, None, "")
 
 
@@ -181,13 +181,13 @@ def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
 def test_a_better_outcome_precedes_a_shorter_time(
     outcomes: tuple[str, str, str], chosen: int
 ) -> None:
-    """Solvers that pass are compared first, then borderline ones, then all that are ranked."""
+    """Solvers that pass are compared first, then borderline ones, then all that are qualifying."""
     solvers = ("daqp", "piqp", "osqp")
     verdicts = [
         _verdict(solver, 10.0 * (i + 1), outcome=outcome)
         for i, (solver, outcome) in enumerate(zip(solvers, outcomes, strict=True))
     ]
-    found = recommend(_verdicts(*verdicts))
+    found = choose_solver(_verdicts(*verdicts))
     assert found.chosen is verdicts[chosen]
     assert found.faster is None
     assert (found.runner_up is None) == (outcomes.count("open") < 3)
@@ -197,16 +197,16 @@ def test_a_solver_that_is_not_known_here() -> None:
     """It has no record and no family, and cannot be deployed."""
     assert known_record("nobody") is None
     assert family_of("nobody") == "not stated"
-    assert why_not_aboard("nobody") == "not in the table of this installation"
+    assert deployment_blocker("nobody") == "not in the table of this installation"
     assert known_record("daqp") is not None and family_of("daqp") == "active set"
-    assert why_not_aboard("daqp") == ""
+    assert deployment_blocker("daqp") == ""
 
 
 LATE, WRONG = (Finding("p99 late"),), (Finding("failed"),)
 
 
 def test_the_verdict_that_shows_each_solver() -> None:
-    """It has the best state; of those the fastest ranked one, the reference, or the fastest."""
+    """It has the best state; of those the fastest qualifying one, the reference, or the fastest."""
     shown = {
         "a": _verdict("a", 30.0, settings="high"),
         "b": _verdict("b", 50.0, outcome="misses", causes=LATE),

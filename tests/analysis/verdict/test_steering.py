@@ -15,8 +15,8 @@ from dpbench.analysis.verdict.steering import (
     is_about_thrusters,
     largest_ratio,
     lost_late,
-    steered_by,
     steering_of,
+    thruster_control_loops,
 )
 
 DEMAND = Demand()
@@ -144,7 +144,7 @@ def test_the_best_loop_is_right_ran_farthest_and_is_nearest_to_the_reference(
     _powered(records, "unpowered", steps=300, power_share=math.nan, dev_position_max_m=0.0)
     _powered(records, "law", steps=300, formulation="none", dev_position_max_m=0.0)
     _powered(records, "lone", "calm", error=0.5)
-    found = steered_by(records.view(), DEMAND)
+    found = thruster_control_loops(records.view(), DEMAND)
     assert {name: run.solver for name, run in found.best.items()} == {"turn": "near"}
     names = ["wrong", "short", "far", "near", "stopped"]
     assert list(found.configurations) == [f"{name} (qpsolvers fresh)" for name in names]
@@ -156,7 +156,7 @@ def test_loops_are_grouped_by_configuration(records: Any) -> None:
     for scenario in ("turn", "calm"):
         _powered(records, "daqp", scenario)
         _powered(records, "daqp", scenario, settings="high")
-    found = steered_by(records.view(), DEMAND)
+    found = thruster_control_loops(records.view(), DEMAND)
     assert list(found.best) == ["calm", "turn"]
     assert {
         label: [run.scenario for run in runs] for label, runs in found.configurations.items()

@@ -9,9 +9,9 @@ import pytest
 
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import fastest_first, recommend, why_not_aboard
+from dpbench.analysis.verdict.fastest import choose_solver, deployment_blocker, fastest_first
 from dpbench.analysis.verdict.verdict import verdicts_of
-from dpbench.report.page.answer import Answer
+from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.report import Report
 from dpbench.report.verdict_text import clauses, counted, demand_text, paired_text
 
@@ -36,7 +36,7 @@ def test_exact_and_fast_meets(records: Any) -> None:
     verdict = _verdict(records, "daqp")
     assert verdict.outcome == "meets"
     assert verdict.steps == 120 + 1000
-    assert Answer.why(verdict) == ""
+    assert Recommendation.why(verdict) == ""
     assert not verdict.causes and not verdict.missing
 
 
@@ -373,7 +373,7 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median)
     view = records.view()
-    found = recommend(verdicts_of(view, DEMAND))
+    found = choose_solver(verdicts_of(view, DEMAND))
     assert found.chosen is not None and found.runner_up is not None and found.faster is not None
     names = (
         found.chosen.configuration.solver,
@@ -381,7 +381,7 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
         found.faster.configuration.solver,
     )
     assert names == ("daqp", "scs", "paper_active_set")
-    answer = Report.of(records.results()).answer
+    answer = Report.of(records.results()).recommendation
     notes = dict(answer.notes)
     assert answer.sentence.startswith("Use daqp (qpsolvers, fresh, default): right on every step")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
@@ -396,20 +396,20 @@ def test_nobody_to_go_aboard_is_said(records: Any) -> None:
     """Where only the benchmark's own code meets the demand, nothing is recommended."""
     records.loop("hildreth", route="native")
     records.replay("hildreth", route="native")
-    text = Report.of(records.results()).answer.sentence
+    text = Report.of(records.results()).recommendation.sentence
     assert text.startswith("Nothing that can go aboard meets the demand; hildreth (native fresh)")
 
 
 def test_who_may_go_aboard_is_a_fact_of_its_record() -> None:
     """Own code, code of Python, and what states no language cannot; compiled projects can."""
-    assert {name: bool(why_not_aboard(name)) for name in ("daqp", "osqp", "clarabel")} == {
+    assert {name: bool(deployment_blocker(name)) for name in ("daqp", "osqp", "clarabel")} == {
         "daqp": False,
         "osqp": False,
         "clarabel": False,
     }
-    assert why_not_aboard("paper_active_set").startswith("own code of this benchmark")
-    assert why_not_aboard("qtqp") == "written in Python"
-    assert why_not_aboard("never_heard_of").startswith("not in the table")
+    assert deployment_blocker("paper_active_set").startswith("own code of this benchmark")
+    assert deployment_blocker("qtqp") == "written in Python"
+    assert deployment_blocker("never_heard_of").startswith("not in the table")
 
 
 def test_summary_counts_everybody_once(records: Any) -> None:

@@ -19,7 +19,7 @@ from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.capability.table import COLUMNS, load_capability, table_of, write_capability
 from dpbench.bench.plan.suite import load_suite
-from dpbench.bench.sequences.at_edge import write_batch
+from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import ResultsError
 from dpbench.qp.referee.referee import certified

@@ -12,6 +12,7 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile
+from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.write import write_report
@@ -40,7 +41,7 @@ def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
     cell = planned.cell
     assert (cell.steps, cell.rounds, cell.scenario) == (4 * 36 * 3, 1, {})
     assert cell.sequence == "osv capability, 16 sides"
-    assert cell.source["vessel_name"] == "osv"
+    assert isinstance(cell.source, CapabilitySource) and cell.source.vessel_name == "osv"
 
 
 @pytest.mark.parametrize(

@@ -167,13 +167,13 @@ import os, signal, sys
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.cli.main import main
 
-append, left = CellStore.append, [5]
+add, left = CellStore.add, [5]
 def dying(*given):
-    append(*given)
+    add(*given)
     left[0] -= 1
     if not left[0]:
         os.kill(os.getpid(), signal.SIGKILL)
-CellStore.append = dying
+CellStore.add = dying
 if __name__ == "__main__":
     raise SystemExit(main(sys.argv[1:]))
 """

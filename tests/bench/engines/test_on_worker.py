@@ -22,7 +22,7 @@ from dpbench.bench.engines.on_worker import (
     end_tasks,
     run_cells,
 )
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
 from dpbench.solvers.table import available
@@ -68,7 +68,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
     """Cells of daqp."""
-    planned = Asked(suite=str(suite), solvers=["daqp"]).plan().cells
+    planned = RunRequest(suite=str(suite), solvers=["daqp"]).plan().cells
     return [CellJob(p, p.cell.key, available("daqp"), "machine") for p in planned]
 
 

@@ -6,13 +6,15 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.step_table import frame_of_runs, runs_of_frame, write_runs
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.solvers import plugins
@@ -73,10 +75,12 @@ def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
 def test_a_shard_that_was_killed_gives_what_it_finished(
     copies: list[Path], undisturbed: Path, tmp_path: Path
 ) -> None:
-    """Without tables and descriptions of its own, with its cells in a part or in the journal."""
-    public = CellStore(copies[2]).public
-    public.runs.rename(copies[2] / "cells" / "runs-00001.parquet")
-    public.steps.rename(copies[2] / "cells" / "steps-00001.parquet")
+    """Without tables and descriptions of its own, with its cells in parts."""
+    killed = CellStore(copies[2])
+    CellStore(tmp_path / "parts").adopt(killed)
+    killed.public.remove()
+    for part in (tmp_path / "parts" / "cells").iterdir():
+        part.rename(killed.folder / part.name)
     (copies[2] / "suite.json").unlink()
     (copies[2] / "machine.json").unlink()
     assert_same(gather(copies, tmp_path / "out"), undisturbed)
@@ -164,12 +168,12 @@ def test_links_and_copies_in_a_shard_are_not_gathered(
     """A link would bring a file of this machine into the result; a copy is named and ignored."""
     (tmp_path / "secret").write_text("{}", encoding="utf-8")
     (copies[0] / "cells" / f"design-{16 * 'a'}.json").symlink_to(tmp_path / "secret")
-    (copies[1] / "cells" / "runs-00001 (copy).parquet").touch()
+    (copies[1] / "cells" / "part-00001 (copy).parquet").touch()
     out = gather(copies, tmp_path / "out")
     assert_same(out, undisturbed)
     assert not list((out / "cells").glob("design-*"))
     (remark,) = load_results(out).suite["remarks"]
-    assert "ignored 'runs-00001 (copy).parquet'" in remark
+    assert "ignored 'part-00001 (copy).parquet'" in remark
 
 
 def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Path) -> None:
@@ -177,8 +181,9 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
     other = "ffffffffffff"
     machine = json.loads((copies[1] / SHARD_FILE).read_text())["machine"]
     public = CellStore(copies[1]).public
-    rows = public.rows().assign(machine_id=other)
-    public.write_runs(rows, public.steps)
+    rows = frame_of_runs(public.table()).assign(machine_id=other)
+    check = pq.read_metadata(public.runs).metadata[b"steps_crc32"].decode()
+    write_runs(public.runs, runs_of_frame(rows), {"steps_crc32": check})
     changed(copies[1], machine=machine | {"id": other})
     results = load_results(gather(copies, tmp_path / "out"))
     assert results.runs["run_id"].is_unique and set(results.runs["outcome"]) == {"finished"}
@@ -216,7 +221,7 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 ) -> None:
     """It names file and key, and no list of a thousand million shards is made."""
     about = {"id": "abc", "cpu_model": "x"}
-    ShardRecord(Asked(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
+    ShardRecord(RunRequest(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
     assert str(ShardRecord.read(tmp_path).shard) == "1/3"
     changed(tmp_path, **entries)
     assert main(["gather", str(tmp_path), "--out", str(tmp_path / "out"), "--quiet"]) == 2

@@ -9,15 +9,14 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.closed_loop import evaluate_log
-from dpbench.bench.judge.memory_of_answers import with_loop_ratio
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import errors, failed_steps
-from dpbench.bench.judge.step_columns import StepColumns, joined, step_columns
+from dpbench.bench.judge.rules import StepColumns, errors, failed_steps
+from dpbench.bench.judge.step_columns import joined, step_columns, total_of
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import ABSENT
-from dpbench.bench.record.step_table import total_of
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
@@ -127,6 +126,7 @@ def answers(**changes: list[Any]) -> StepColumns:
         "update_ns": [ABSENT] * 5,
         "solve_ns": [7] * 5,
         "read_ns": [3] * 5,
+        "waited_ns": [4] * 5,
         "error_move": [0.1] * 5,
         "fallback": [False] * 5,
         "unconverged": [False] * 5,
@@ -154,6 +154,7 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
     assert steps["status"].tolist() == ["SOLVED", "SOLVED", "ERROR", "PRIMAL_INFEASIBLE", "ERROR"]
     assert steps["certificate"].tolist() == ["linear"] * 3 + ["infeasible", "linear"]
     assert total_of(steps).tolist() == [20] * 5 and steps["allocation_ns"].tolist() == [10] * 5
+    assert steps["waited_ns"].tolist() == [8] * 5
     assert errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
     # The loop falls back where either has no answer: a right claim of infeasibility is no failure.
     steps["fallback"] = np.array([False, False, True, True, True])

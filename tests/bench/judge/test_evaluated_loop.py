@@ -9,7 +9,8 @@ import pytest
 from dpbench import load_scenario
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.step_columns import StepColumns, step_columns
+from dpbench.bench.judge.rules import StepColumns
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
 from dpbench.bench.run.qp_builder import QPBuilder

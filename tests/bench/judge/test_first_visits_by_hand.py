@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge.memory_of_answers import is_remembered, memory_metrics, with_loop_ratio
+from dpbench.bench.judge.answer_caching import is_remembered, memory_metrics, with_loop_ratio
 from dpbench.bench.record.raw_log import COUNTERS
 
 NAN = math.nan

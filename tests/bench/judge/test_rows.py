@@ -12,6 +12,7 @@ import pytest
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.qp_source import RecordedSource
 from dpbench.bench.record.schema import ABSENT
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.calibration import NO_OP
@@ -49,6 +50,7 @@ def loop_steps() -> dict[str, Any]:
         "optimum_bound": [1e-13, 3e-13, INF, 2e-13, INF, INF],
         "iterations": [3, 8, ABSENT, ABSENT, 5, ABSENT],
         "total_ns": [10, 20, 30, 40, 50, 60],
+        "waited_ns": [0] * 6,
         "emit_ns": [1] * 6,
         "overhead_ns": [2] * 6,
         "latency_ns": [30, 60, ABSENT, 120, 150, 180],
@@ -162,7 +164,7 @@ def test_a_cell_without_steps_has_its_identity_only() -> None:
 
 def test_sizes_that_do_not_exist_are_null() -> None:
     """A sequence from elsewhere has no horizons, and a solver that refused got no QP."""
-    elsewhere = replace(REPLAY, source={"kind": "random", "name": "r"})
+    elsewhere = replace(REPLAY, source=RecordedSource("r"))
     row = run_row("a1", elsewhere, Outcome("refused", "no"), Availability(True), "m", None, None)
     assert all(row[name] is pd.NA for name in ("N_p", "N_c", "n", "m"))
 

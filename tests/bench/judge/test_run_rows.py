@@ -48,6 +48,7 @@ def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
         "optimum_bound": np.full(K, 1e-12),
         "iterations": np.full(K, 5),
         **dict.fromkeys(("total_ns", "latency_ns", "emit_ns", "overhead_ns"), np.full(K, 100)),
+        "waited_ns": np.zeros(K, dtype=np.int64),
     }
     steps |= {name: np.asarray(column) for name, column in columns.items()}
     once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}

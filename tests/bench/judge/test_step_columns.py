@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.step_columns import chosen, step_columns
+from dpbench.bench.judge.rules import select_rows
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES
 from dpbench.bench.record.schema import ABSENT
@@ -34,6 +35,7 @@ def of_qps(times: list[list[int]], **figures: list[float]) -> dict[str, Any]:
         "status": np.array(STATUSES),
         "iterations": np.array([4, -7, 0]),
         "reported_ns": np.array([-1, 9, 0]),
+        "waited_ns": np.array([7, 0, -1]),
         "certificate": np.array([CERTIFICATES.index(kind) for kind in KINDS], dtype=np.int8),
         "evaluations": evaluations,
     }
@@ -78,6 +80,7 @@ def test_what_an_answer_claims_and_took() -> None:
     assert steps["total_ns"].tolist() == [115, 226, ABSENT]
     assert steps["iterations"].tolist() == [4, ABSENT, 0]
     assert steps["reported_ns"].tolist() == [ABSENT, 9, 0]
+    assert steps["waited_ns"].tolist() == [7, 0, ABSENT]
 
 
 def test_what_the_referee_found() -> None:
@@ -123,6 +126,7 @@ def test_the_second_answers_of_a_cascade_join_the_first() -> None:
     steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
     assert steps["allocation_ns"].tolist() == [6] * 3
     assert steps["total_ns"].tolist() == [121, 232, ABSENT]
+    assert steps["waited_ns"].tolist() == [14, 0, ABSENT]
     assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
     assert steps["true"].tolist() == [True, False, False]
 
@@ -153,5 +157,5 @@ def test_rounds_of_a_replay(
 
 def test_some_of_the_rows_are_those_of_every_column() -> None:
     """In their order."""
-    rows = chosen({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
+    rows = select_rows({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
     assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.rules import counting_rows
-from dpbench.bench.judge.step_columns import chosen
+from dpbench.bench.judge.rules import counting_rows, select_rows
 from dpbench.bench.judge.timing import (
     disturbed_rounds_of,
     load_time,
@@ -46,7 +45,7 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
         | columns,
         {},
     )
-    counting = chosen(steps, counting_rows(repeat, disturbed))
+    counting = select_rows(steps, counting_rows(repeat, disturbed))
     return timing_metrics(REPLAY, evaluated, counting)
 
 
@@ -108,6 +107,7 @@ def looped(**columns: Any) -> dict[str, Any]:
     """A loop of 20 steps of 1 to 20 ns."""
     steps = {
         "total_ns": np.arange(1, 21),
+        "waited_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
         "emit_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
         "overhead_ns": np.full(20, ABSENT),
     }
@@ -120,6 +120,8 @@ def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
     timing = looped()
     assert (timing["raw_p50_ns"], timing["raw_max_ns"], timing["raw_samples"]) == (10.5, 20.0, 20)
     assert timing["emit_p50_ns"] == 4.0
+    # 1 + … + 20 = 210 ns, in which the core was missing for 10 ns; a wait nobody saw is none.
+    assert timing["solve_s"] == pytest.approx(200e-9)
     assert np.isnan(timing["overhead_p50_ns"])
     assert not {"rounds", "algo_p50_ns", "controller_p50_ns"} & set(timing)
 
@@ -127,7 +129,7 @@ def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
 def test_a_thousand_steps_carry_a_p99_and_ten_thousand_a_p999() -> None:
     """Of 0 to 10 000 ns the percentiles are themselves; of both QPs of a cascade apart."""
     total = np.arange(10_001)
-    timing = looped(total_ns=total, allocation_ns=total // 10)
+    timing = looped(total_ns=total, waited_ns=0 * total, allocation_ns=total // 10)
     for name, expected in (("p50", 5000.0), ("p99", 9900.0), ("p999", 9990.0)):
         assert timing[f"raw_{name}_ns"] == pytest.approx(expected, abs=1e-6)
     assert timing["allocation_p50_ns"] == 500.0

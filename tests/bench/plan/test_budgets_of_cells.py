@@ -14,6 +14,7 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.qp_source import HardestSource
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS, ReplayWorker
 from dpbench.errors import InputError
@@ -110,7 +111,7 @@ def test_a_spent_budget_ends_a_window_after_two_rounds(
 ) -> None:
     """The steps of a window are the longest of all, and its budget is a share."""
     found = worker(9.0, clean_rounds, 2.0)
-    found.cell = replace(found.cell, source={"kind": "hardest", "name": "x", "of": 450})
+    found.cell = replace(found.cell, source=HardestSource("x", 450))
     assert found.budget_exhausted is budget_exhausted
 
 

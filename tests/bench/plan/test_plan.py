@@ -82,6 +82,12 @@ def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
         plan(wrong)
 
 
+def test_a_fallback_is_one_of_the_policies_by_name() -> None:
+    """A suite that names none of them is refused, with the names that there are."""
+    with pytest.raises(ValueError, match=r"'shifted_plan' \| 'hold' \| 'clip'"):
+        ClosedLoopTable(scenarios=["calm"], fallback="shifted")
+
+
 def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
     """Each scenario with each vessel; a fallback that is not the usual one is part of the name."""
     table = ClosedLoopTable(

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.study_points import StudyTable, points_of
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import study_columns
@@ -90,13 +90,14 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
     cells = [p.cell for p in plan(_suite(study))]
     assert len(cells) == 2 * 3 * 2 * 2 * 2
     for cell in cells:
-        scenario, x = scenario_of(cell.scenario), cell.study["x"]
+        assert cell.study is not None
+        scenario, x = scenario_of(cell.scenario), cell.study.x
         environment = cell.scenario["scenario"]["environment"]
         assert scenario.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])
-        assert environment["seed"] == 3 + cell.study["replicate"]
-    places = [(c.study["point"], c.study["replicate"], c.solver, c.settings) for c in cells]
-    assert len(set(places)) == len(cells)
+        assert environment["seed"] == 3 + cell.study.replicate
+    studies = [(c.study, c.solver, c.settings) for c in cells]
+    assert all(studies.count(one) == 1 for one in studies)
 
 
 def test_columns_of_a_study_in_the_table_of_runs() -> None:

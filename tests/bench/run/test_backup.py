@@ -12,7 +12,6 @@ import pytest
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
-from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import BackupLog, RawLog, loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
@@ -157,7 +156,7 @@ def slow(
     budget: float,
     *,
     fails: bool = False,
-    fallback: Fallback = "hold",
+    fallback: str = "hold",
 ) -> RawLog:
     """A loop on a slow computer whose first solver is late, or fails, in every step; latencies
     and budget in samples. The first plans +1, the backup −1 rate-limit step at once."""

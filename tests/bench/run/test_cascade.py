@@ -26,7 +26,7 @@ from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.sequences.source import log_size
 from dpbench.errors import InputError
-from dpbench.mpc.thruster_rows import RETREAT
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
@@ -174,7 +174,7 @@ def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     builder = QPBuilder(lost)
     metrics = thruster_metrics(lost, log.thrust, (builder.f_min, builder.f_max))
     assert metrics["limit_violations"] == 0.0
-    gone = 20 + math.ceil(12.0 / 0.3 / RETREAT) + 1
+    gone = 20 + math.ceil(12.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
     assert np.abs(log.thrust[19, [0, 2, 3]]).max() > 1e4
     assert np.abs(log.thrust[gone:, [1, 4, 5]]).max() > 1e4
@@ -323,5 +323,5 @@ def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenar
     """No slow computer is simulated; a workspace of unknown making cannot be doubled."""
     with pytest.raises(InputError, match="not of a cascade"):
         run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
-    with pytest.raises(InputError, match="two by open_workspace"):
+    with pytest.raises(InputError, match="needs two workspaces; open this one by open_workspace"):
         run_closed_loop(case, ExactWorkspace())

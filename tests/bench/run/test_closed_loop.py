@@ -13,15 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario
-from dpbench.bench.record.cell import Fallback
+from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.fallback import FallbackLaw, limit_move
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.limits import limit_move
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.law import gains
+from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, condense, scenario_of
@@ -56,7 +57,7 @@ class Scripted(Workspace):
 
 
 def run(
-    scenario: Scenario, answer: Answer, fallback: Fallback = "shifted_plan", limit_ns: int = 2**62
+    scenario: Scenario, answer: Answer, fallback: str = "shifted_plan", limit_ns: int = 2**62
 ) -> tuple[RawLog, Scripted, bool]:
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
@@ -266,5 +267,5 @@ def test_limit_move_keeps_rate_and_reachable_amplitude(
 
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
     """Before there ever was a usable plan, the shifted plan is to hold."""
-    law = FallbackLaw("shifted_plan", condense(scenario))
+    law = FALLBACKS[DEFAULT_FALLBACK](15, 3, UnconstrainedLaw(condense(scenario)))
     np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
 
 SHORT, LONG = 7, 24

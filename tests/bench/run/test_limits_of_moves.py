@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from dpbench import condense, load_scenario
-from dpbench.bench.record.cell import Fallback
-from dpbench.bench.run.fallback import FallbackLaw, ThrusterLimit, limit_move, limit_of
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.bench.run.limits import ThrusterLimit, limit_move, limit_of
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
@@ -169,9 +170,9 @@ def test_a_controller_of_forces_limits_axis_by_axis(builder: CondensedQP) -> Non
     np.testing.assert_allclose(applied, [-32736.0, -11008.0, -475200.0])
 
 
-def moves_of(kind: Fallback, builder: CondensedQP, steps: int) -> list[list[float]]:
+def moves_of(kind: str, builder: CondensedQP, steps: int) -> list[list[float]]:
     """Return the moves without an answer after a plan of 1, 2, 3, 4, 5 in surge."""
-    law = FallbackLaw(kind, builder)
+    law = FALLBACKS[kind](5, 3, UnconstrainedLaw(builder))
     plan = np.zeros((5, 3))
     plan[:, 0] = [1.0, 2.0, 3.0, 4.0, 5.0]
     assert law.remember(plan).tolist() == [1.0, 0.0, 0.0]
@@ -199,6 +200,6 @@ def test_clip_is_the_first_move_of_the_unconstrained_optimum(scenario: Scenario)
     x, y_ref = np.array([0.1, -0.2, 0.01, 0.02, 0.03, 0.004, 1.5, -2.0, 0.3]), np.ones(3)
     step = si.emit(x, y_ref, np.zeros(3))
     expected = -np.linalg.solve(si.problem(step).P, step.q)[:3]
-    law = FallbackLaw("clip", si)
+    law = FALLBACKS["clip"](2, 3, UnconstrainedLaw(si))
     np.testing.assert_allclose(law.move(x, y_ref, np.zeros(3)), expected, rtol=1e-9)
     assert law.acted

@@ -15,10 +15,11 @@ from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_log
 from dpbench.bench.judge.deadlines import longest_streak, steps_to_recover
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
-from dpbench.bench.record.cell import SLOWEST, Cell, Fallback
+from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem, solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import WARM_UP_SOLVES, ComputationalDelay, SlowComputer
@@ -77,7 +78,7 @@ def run(
     workspace: Timed,
     slowdown: float = 1.0,
     budget: float = 1.0,
-    fallback: Fallback = "shifted_plan",
+    fallback: str = "shifted_plan",
 ) -> RawLog:
     """A loop whose latencies are those of the workspace times the slow-down, in samples."""
     builder = QPBuilder(scenario)
@@ -200,10 +201,10 @@ def test_a_failed_solve_keeps_the_processor_and_brings_nothing(scenario: Scenari
 @given(
     latencies=st.lists(st.floats(0.0, 8.0), min_size=24, max_size=24),
     moves=st.lists(st.floats(-9.0, 9.0), min_size=5, max_size=5),
-    fallback=st.sampled_from(["shifted_plan", "hold", "clip"]),
+    fallback=st.sampled_from(sorted(FALLBACKS)),
 )
 def test_one_processor_and_no_limit_violated(
-    scenario: Scenario, latencies: list[float], moves: list[float], fallback: Fallback
+    scenario: Scenario, latencies: list[float], moves: list[float], fallback: str
 ) -> None:
     """Whatever latencies and plans: computations do not overlap, forces keep rate and amplitude."""
     log = run(scenario, Timed(latencies.__getitem__, plan=moves), fallback=fallback)

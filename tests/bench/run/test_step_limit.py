@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dpbench import load_scenario, open_workspace
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import Layout, RawLog
+from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.timed_solver import HUNG, TimedSolver, interrupting
+from dpbench.bench.workers.worker import hang_of
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Workspace, words_of
@@ -85,9 +88,9 @@ def test_an_alarm_outside_of_a_step_is_none() -> None:
 class Leaving(Workspace):
     """Drives another workspace, and ends the run in one step, as a process that is killed."""
 
-    def __init__(self, inner: Workspace, at: int, *, fails: bool) -> None:
+    def __init__(self, inner: Workspace, at: int, *, fails: bool, k: int = -1) -> None:
         super().__init__(inner.solver, inner.route, inner.policy)
-        self._inner, self._at, self._fails, self._k = inner, at, fails, -1
+        self._inner, self._at, self._fails, self._k = inner, at, fails, k
         self.setup_every_step = inner.setup_every_step
         self.setup, self.reset = inner.setup, inner.reset  # type: ignore[method-assign]  # as they are
 
@@ -147,3 +150,71 @@ def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> Non
     for array in ("state", "tau", "z", "status", "flags", "iterations"):
         np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
     assert log.times[0, at, 3] == 10**9 and log.matrix_updates[0] == expected.matrix_updates[0]
+
+
+class _Late(Leaving):
+    """Leaves as `Leaving`; takes more than a sample in step 4, which a slow computer notices."""
+
+    def solve(self) -> None:
+        if self._k == 4 or (self._k == self._at and self._fails):
+            time.sleep(1.1 * SAMPLE_S)
+        super().solve()
+
+
+SAMPLE_S = 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.alone  # A step of any other solve that takes a sample would be late too.
+def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
+    """The plan that came late comes late again, though it is repeated at once, and the step that
+    hung keeps the processor for as long as it hung."""
+    steps, at = 20, 11
+    scenario = load_scenario("paper").first(steps)
+    cell = Cell(
+        "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, slowdown=1.0
+    )
+    logs: list[RawLog] = []
+
+    def new_log(layout: Layout) -> RawLog:
+        logs.append(RawLog.in_memory(layout))
+        return logs[-1]
+
+    def opened() -> Workspace:
+        return open_workspace("daqp", route="native", policy="reuse")
+
+    def leaving(*, fails: bool) -> Workspace:
+        # Step 5 is not solved, as the processor is busy.
+        return _Late(opened(), at - 1, fails=fails, k=-1 - WARM_UP_SOLVES)
+
+    failing = closed_loop_setup(cell, scenario, leaving(fails=True), new_log, NO_LIMIT_NS)
+    assert closed_loop(failing)
+    killed = closed_loop_setup(cell, scenario, leaving(fails=False), new_log, NO_LIMIT_NS)
+    with pytest.raises(SystemExit):
+        closed_loop(killed)
+    expected, log = logs
+    assert log.done[0] == at
+    late_ns, limit_ns = int(log.latency_ns[4]), round(1.1 * SAMPLE_S * 1e9)
+    again = closed_loop_setup(cell, scenario, opened(), lambda _: log, limit_ns, hung=[at])
+    again.limit_ns = NO_LIMIT_NS
+    assert closed_loop(again)
+    for array in ("state", "tau", "status", "flags", "iterations"):
+        np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
+    assert log.latency_ns[4] == late_ns and log.latency_ns[at] == limit_ns
+    assert np.flatnonzero(log.latency_ns < 0).tolist() == [5, at + 1]
+
+
+@pytest.mark.parametrize(("backup", "goes_on"), [("", True), ("quadprog", False)])
+def test_a_killed_loop_of_a_slow_computer_goes_on(
+    backup: str, goes_on: bool, tmp_path: Path
+) -> None:
+    """With a backup it does not: how late that was would be measured anew."""
+    files = load_scenario("paper").files
+    cell = Cell(
+        *("closed_loop", files, "daqp", "native", "reuse", "default", 9),
+        slowdown=2.0,
+        backup=backup,
+    )
+    log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
+    log.started[0], log.done[0] = 1, 4
+    assert hang_of(cell, tmp_path / "a.raw", []) == ((0, 4) if goes_on else None)

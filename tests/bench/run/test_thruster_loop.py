@@ -14,18 +14,19 @@ from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
-from dpbench.bench.record.cell import Fallback, Formulation
+from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
-from dpbench.bench.run.fallback import limit_of
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import in_loop
+from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
@@ -169,14 +170,14 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     builder = QPBuilder(lost)
     metrics = thruster_metrics(lost, log.thrust, (builder.u_min, builder.u_max))
     assert metrics["limit_violations"] == 0.0
-    gone = 20 + math.ceil(8.0 / 0.3 / RETREAT) + 1
+    gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
     assert np.abs(log.thrust[19, [0, 1]]).max() > 1e4
     assert np.abs(log.thrust[gone:, 2:6]).max() > 1e4
 
 
-@pytest.mark.parametrize("fallback", ["shifted_plan", "hold", "clip"])
-def test_without_answers_the_fallback_keeps_to_all_limits(fallback: Fallback) -> None:
+@pytest.mark.parametrize("fallback", FALLBACKS)
+def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
     """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
     builder = QPBuilder(case)
@@ -237,7 +238,7 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
     """A step of the command: exact first-order answer, its mean over each sample on the ship."""
     lag_s, sample_s = 2.0, 0.5
-    thrusters = SteeredThrusters(SHIP, sample_s, lag_s, Actuators()).start()
+    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])
     for k in range(1, 9):
         tau = thrusters.deliver(goal)

@@ -25,7 +25,7 @@ from dpbench.bench.sequences.consequence import (
     consequence_sequence,
     required_force,
 )
-from dpbench.bench.sequences.source import log_size, replayed, source_key
+from dpbench.bench.sequences.source import log_size, replayed
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.mpc.thrusters.static_allocation import LossAllocation
@@ -200,7 +200,7 @@ def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
     (loop,) = plan(
         suite_of().model_copy(update={"replay": [ReplayTable(scenario="thrusters_loss")]})
     )
-    keys = {source_key(cell, "1") for cell in (*cells, loop.cell)}
+    keys = {cell.source_key("1") for cell in (*cells, loop.cell)}
     assert len(keys) == 1 and loop.cell.sequence == "thrusters_loss"
     assert all(Cell.from_json(cell.to_json()) == cell for cell in cells)
 

@@ -9,10 +9,11 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
-from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.qp_source import HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.sequences.hardest import (
     active_limits,
@@ -21,15 +22,11 @@ from dpbench.bench.sequences.hardest import (
     hardness,
 )
 from dpbench.bench.sequences.source import (
-    hardest_source,
-    is_timed,
-    last_step,
     replayed,
-    source_key,
-    source_of,
+    source_file,
 )
 from dpbench.errors import InputError
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
 
 NO_OPTIMUM = np.inf
@@ -115,9 +112,9 @@ def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
     window, whole = cell(steps=450, hardest=50), cell(steps=450)
     assert (window.mode, window.scenario_name, window.steps) == ("replay", "turn", 50)
     assert window.sequence == "turn hardest 50"
-    assert is_timed(window)
-    assert source_key(window, "") == source_key(whole, "")
-    assert last_step(window) == last_step(whole) == 450
+    assert window.is_timed
+    assert window.source_key("") == whole.source_key("")
+    assert window.last_step == whole.last_step == 450
     assert Cell.from_json(window.to_json()) == window
     assert cell(first=100, steps=200, hardest=20).sequence == "turn[100:300] hardest 20"
 
@@ -141,17 +138,17 @@ def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
     cut = with_choices(suite_of(steps=450, hardest=50), steps=20)
     assert [p.cell.steps for p in plan(cut)] == [20]
     wide = with_choices(suite_of(steps=450, hardest=50), steps=100)
-    assert [(p.cell.steps, last_step(p.cell)) for p in plan(wide)] == [(50, 100)]
+    assert [(p.cell.steps, p.cell.last_step) for p in plan(wide)] == [(50, 100)]
     other = with_choices(suite_of(first=100, steps=450, hardest=5000), scenarios=["paper"])
-    assert [(p.cell.steps, last_step(p.cell)) for p in plan(other)] == [(1000, 1000)]
+    assert [(p.cell.steps, p.cell.last_step) for p in plan(other)] == [(1000, 1000)]
 
 
 def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
     """Bit for bit, with the same certified optima, whatever else of the loop is in the file."""
     whole, path, short = cell(), tmp_path / "whole.npz", tmp_path / "short.npz"
-    source_of(whole).make(path)
+    source_file(whole).make(path)
     window = cell(steps=200, hardest=30)
-    source_of(window).make(short)
+    source_file(window).make(short)
     all_of, found = replayed(whole, path), replayed(window, path)
     first = found.sequence.meta["first"]
     again = replayed(window, short)
@@ -170,9 +167,9 @@ def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
 def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     """`thruster_loss_hard` has no feasible point after the loss at 121 s."""
     scenario = load_scenario("thruster_loss_hard")
-    source = hardest_source(scenario.name, 10, 450)
+    source = HardestSource(scenario.name, 450)
     window = Cell("replay", scenario.files, "daqp", "native", "fresh", "default", 10, source=source)
-    source_of(window).make(tmp_path / "loop.npz")
+    source_file(window).make(tmp_path / "loop.npz")
     kinds = [o.kind for o in replayed(window, tmp_path / "loop.npz").optima or []]
     assert kinds.count("infeasible") >= 1
     assert replayed(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400

@@ -15,10 +15,11 @@ from dpbench import InputError, Solution, Status, load_scenario, residuals
 from dpbench.bench.sequences.export import export
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
 from dpbench.bench.sequences.recording import record
-from dpbench.bench.sequences.sequence_file import Recorded, certified, load_recorded
+from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
+from dpbench.qp.referee.referee import certified
 
 SOLVERS = ("daqp", "osqp")
 RTOL = 1e-9

@@ -21,11 +21,11 @@ from dpbench import (
     record_sequence,
 )
 from dpbench.bench.record.npz import write_npz
-from dpbench.bench.sequences.sequence_file import certified, load_recorded, save_sequence
+from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
-from dpbench.qp.referee.referee import certify
+from dpbench.qp.referee.referee import certified, certify
 
 Arrays = dict[str, Any]
 STEPS = 30

@@ -244,7 +244,7 @@ def test_a_suite_names_stored_sequences() -> None:
     """`[[recorded]]` with a name; a folder beside the suite that has the name is not meant."""
     tables = [RecordedTable(sequence=name) for name in SMALL]
     cells = plan(SuiteFile(title="x", solvers=["daqp"], recorded=tables))
-    assert [planned.cell.source["path"] for planned in cells] == list(SMALL)
+    assert [vars(planned.cell.source)["path"] for planned in cells] == list(SMALL)
     lengths = [len(arrays_of(sequence_path(name))["q"]) for name in SMALL]
     assert [planned.cell.steps for planned in cells] == lengths
 

@@ -19,10 +19,11 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
 from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
-from dpbench.bench.record.cell_store import CellStore, Journal
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.finished_batch import BatchPart
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
 from dpbench.bench.record.result_folder import accidents
-from dpbench.bench.sequences.source import is_sound, source_key, source_of
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
@@ -366,8 +367,8 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 def made_source(out: Path) -> tuple[Cell, Path]:
     """A cell of a result folder, and the exactly solved loop behind it, as while it is needed."""
     cell = Cell.from_json(load_results(out).runs["cell"].iloc[0])
-    path = out / "cells" / f"exact-{source_key(cell, HARNESS_VERSION)}.npz"
-    source_of(cell).make(path)
+    path = out / "cells" / f"exact-{cell.source_key(HARNESS_VERSION)}.npz"
+    source_file(cell).make(path)
     return cell, path
 
 
@@ -375,9 +376,9 @@ def made_source(out: Path) -> tuple[Cell, Path]:
 def test_damage_of_a_source_is_seen(damage: str, copied: Path) -> None:
     """Whatever became of the exactly solved loop, reading all of it tells."""
     cell, source = made_source(copied / "out")
-    assert is_sound(cell, source)
+    assert is_readable(cell, source)
     DAMAGE[damage](source)
-    assert not is_sound(cell, source)
+    assert not is_readable(cell, source)
 
 
 def test_a_damaged_source_is_made_anew(copied: Path) -> None:
@@ -449,15 +450,15 @@ def test_damaged_cells_run_again(table: str, copied: Path) -> None:
     assert not (before["raw_max_ns"] == after["raw_max_ns"]).any()
 
 
-def test_records_damaged_while_the_campaign_runs_are_lost(
+def test_parts_damaged_while_the_campaign_runs_are_lost(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A finished cell without its record is no finished one; the next run has it again."""
+    """A cell whose part is damaged is not finished; the next run has it again."""
     out, write = copied / "out", Campaign.write
     forget_cells(out)
 
     def late(self: Campaign, *rest: object) -> None:
-        DAMAGE["truncated"](out / "cells" / "open.cells")
+        DAMAGE["truncated"](self.store.parts[-1].steps)
         write(self, *rest)  # type: ignore[arg-type] # passed on
 
     with monkeypatch.context() as patch:
@@ -490,21 +491,21 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_without_room_for_its_record_a_cell_is_lost(
+def test_without_room_for_its_part_a_cell_is_lost(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The disk of the results is full for one cell: those before and after it are kept."""
-    out, append = tmp_path / "out", Journal.append
+    """The disk of the results is full for one batch: those before and after it are kept."""
+    out, add = tmp_path / "out", CellStore.add
 
-    def full(self: Journal, record: bytes) -> None:
-        if self.size and not lost:
-            lost.append(self.size)
+    def full(self: CellStore, part: BatchPart) -> None:
+        refused.add(part.data)
+        if len(refused) == 1:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        append(self, record)
+        add(self, part)
 
-    lost: list[int] = []
+    refused: set[bytes] = set()
     with monkeypatch.context() as patch:
-        patch.setattr(Journal, "append", full)
+        patch.setattr(CellStore, "add", full)
         assert run(suite, out) == 1
     runs = load_results(out).runs
     assert sorted(runs["outcome"]) == ["finished", "finished", "lost"]

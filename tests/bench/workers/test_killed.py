@@ -49,7 +49,6 @@ def dying(method, left):
         return answer
     return call
 
-cell_store.PART_CELLS = 3
 name, moment = sys.argv[1].split(":")
 owner, _, method = name.rpartition(".")
 owner = getattr(cell_store, owner) if owner else cell_store
@@ -73,16 +72,14 @@ def undisturbed(suite: Path) -> Path:
 @pytest.mark.parametrize(
     ("moment", "finished"),
     [
-        ("CellStore.append:1", 1),
-        ("CellStore.append:5", 5),
-        # A part whose steps are there and whose runs are not: all is still in the journal.
-        ("_check_sum:1", 3),
-        # A part that is whole, with its cells in the journal too.
-        ("write_runs:2", 6),
+        ("CellStore.add:1", 1),
+        ("CellStore.add:5", 5),
         # The public steps are written, and in no place yet; the parts are.
-        ("_check_sum:5", CELLS),
+        ("StepFile.close:1", CELLS),
+        # The public steps are in their place, without their runs.
+        ("put:1", CELLS),
         # All is written, and the parts are still there.
-        ("write_runs:5", ROWS),
+        ("write_runs:1", ROWS),
     ],
 )
 def test_what_was_killed_goes_on_as_if_nothing_was(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
+from types import FrameType, SimpleNamespace
 from typing import cast
 
 import pandas as pd
@@ -52,15 +55,16 @@ HERE = Path(__file__).parent
 PIDS, FATE = HERE / "pids", HERE / "fate"
 
 
-def stay():
+def stay(seconds=600.0):
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
-    time.sleep(600.0)
+    time.sleep(seconds)
 
 
 LEAVE = {
     "exit": lambda: os._exit(0),
     "abort": os.abort,
     "stay": stay,
+    "pause": lambda: stay(1.2),
 }
 
 
@@ -75,7 +79,7 @@ def fated(*ways):
 
 
 def solve(qp):
-    if way := fated("exit", "abort", "stay"):
+    if way := fated(*LEAVE):
         LEAVE[way]()
     z = np.clip(-np.linalg.solve(qp.P, qp.q), qp.lb, qp.ub)
     return Solution(Status.MAX_ITERATIONS, z, np.zeros(qp.m), np.zeros(qp.n))
@@ -182,6 +186,36 @@ def test_a_hang_is_followed_by_a_process_that_goes_on(
     assert set(hung["run_id"]) == {results.runs["run_id"].iloc[place - 1]}
     assert hung["k"].nunique() == 1 and set(hung["repeat"]) == {1, 2}
     assert len(set(pids(suite))) == 2 and not any(map(is_alive, pids(suite)))
+
+
+@pytest.mark.alone  # What else runs could use up a limit of one second.
+@pytest.mark.parametrize("place", [1, 3])
+def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Path) -> None:
+    """The limit stops the round, and the same process serves the sequences after it."""
+    suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
+    with ended_after(60):
+        results = run(suite, f"{place} pause")
+    wanted = ["finished"] * len(SEQUENCES)
+    wanted[place - 1] = "timed_out"
+    assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
+    assert "stopped after 1 s in round 1" in results.runs["outcome_detail"].iloc[place - 1]
+    assert len(set(pids(suite))) == 1 and not is_alive(pids(suite)[0])
+
+
+@contextmanager
+def ended_after(seconds: int) -> Iterator[None]:
+    """Raise TimeoutError in a block that waits for ever."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f"a campaign of some seconds took {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import quadprog
 from scipy.optimize import linprog
 
-from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.qp.referee.referee import certify, error_of
 from dpbench.ship.thrusters import Thruster, ThrusterSet
@@ -203,7 +203,7 @@ def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> No
     builder, limits = AllocationQP(case), case.rows.without(lost)
     for seed in range(4):
         tau, f = situation(seed)
-        for _ in range(int(np.ceil(8.0 / SAMPLE_S / RETREAT)) + 1):
+        for _ in range(int(np.ceil(8.0 / SAMPLE_S / RAMP_DOWN_SHARE)) + 1):
             optimum = certify(builder.problem(builder.emit(tau, f, limits=limits)))
             assert np.isfinite(optimum.bound)
             f = f + builder.moves(optimum.z)

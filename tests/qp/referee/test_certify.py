@@ -15,8 +15,9 @@ from dpbench.qp.referee import oracle
 from dpbench.qp.referee.dyadic import Dyadic, semidefinite
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.kkt import KKTSystem, positive_definite
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.referee.referee import Optimum, Referee, certify, error_of
+from dpbench.qp.referee.referee import Referee, certify, error_of
 from tests.qp.referee.test_kernels import solve_exactly
 
 INF = np.inf

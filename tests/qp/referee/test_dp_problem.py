@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import quadprog
 
-from dpbench.qp.referee.referee import Optimum, Referee, referee_of
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import Referee, referee_of
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import condense, load_scenario

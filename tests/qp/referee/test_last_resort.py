@@ -23,8 +23,9 @@ from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.referee.referee import Optimum, Referee, certify
+from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 

@@ -14,7 +14,7 @@ import pytest
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.bench.record.configuration import Configuration
 from dpbench.report.formats import rounded_down
-from dpbench.report.page.answer import call_text
+from dpbench.report.page.recommendation import call_text
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
@@ -379,7 +379,7 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
     """No solver is drawn late and listed as keeping the deadline at the same factor: the speed
     margin decides everywhere."""
     page = opened(f"#slow={slow}")
-    facts = written.report.facts
+    facts = written.report.data
     drawn = page.evaluate("rowsDrawn('ladder').values")
     bounds = {}
     for row in drawn:
@@ -588,7 +588,7 @@ def test_two_solvers_are_compared(opened: Any) -> None:
 @pytest.mark.slow
 def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
     """That of the paired comparison, in whichever order they stand."""
-    facts = written.report.facts
+    facts = written.report.data
     timed = [v for v in facts.verdicts.all if v.timed_on]
     page = opened()
     for first, second in ((timed[0], timed[-1]), (timed[-2], timed[1])):

@@ -16,8 +16,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.compare.releases import releases
-from dpbench.report.compare.releases_page import write_releases
+from dpbench.report.compare.releases import releases, write_releases
 from tests.result_folder import write_results
 
 Make = Callable[..., Path]

@@ -28,7 +28,7 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
 
 def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
     """By error, time and iterations, found in the table of steps without the report's help."""
-    facts, results = written.report.facts, written.results
+    facts, results = written.report.data, written.results
     runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
     known = {run.run_id for run in facts.records.runs}
     steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
@@ -67,4 +67,4 @@ def test_the_command_writes_it_and_the_step_can_be_exported(
     with np.load("worst-error.npz", allow_pickle=False) as stored:
         assert len(stored["q"]) == 1
     assert main(["report", "mine", "--against", "daqp"]) == 2
-    assert "--for SOLVER as well" in capsys.readouterr().err
+    assert "by --for SOLVER" in capsys.readouterr().err

@@ -19,6 +19,7 @@ from dpbench.bench.capability.table import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
+from dpbench.report.documents.passive_page import check_passive
 from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
@@ -199,3 +200,28 @@ def test_the_page_that_is_sent_has_no_dead_link(sent: Path) -> None:
     for name in ("one", "two"):
         assert f'id="{name}"' not in page and f'href="#{name}"' not in page
     assert "figures/" not in page and "tables/runs.csv" not in page
+
+
+UTF_8 = '<meta charset="utf-8">'
+
+
+@pytest.mark.parametrize(
+    ("page", "found"),
+    [
+        (UTF_8, ""),
+        ('<meta charset="iso-2022-jp">', "charset"),
+        (f'<meta charset="iso-2022-jp">{UTF_8}', "charset"),
+        ("<p>Without an encoding a browser guesses.</p>", "charset"),
+        (f"<title>{1024 * 'x'}</title>{UTF_8}", "charset"),
+        (f"{UTF_8}<p>\x1b$B</p>", "0x1b"),
+        (f"{UTF_8}<p>\x00</p>", "0x00"),
+        (f"{UTF_8}<p>\ttab\r\n</p>", ""),
+    ],
+)
+def test_a_page_is_read_in_the_encoding_that_it_was_checked_in(page: str, found: str) -> None:
+    """In ISO-2022-JP a quote may be half of a character, and end no attribute."""
+    if not found:
+        check_passive(page, "page")
+        return
+    with pytest.raises(ResultsError, match=found):
+        check_passive(page, "page")

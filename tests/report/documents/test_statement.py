@@ -14,7 +14,7 @@ import pytest
 from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
-from dpbench.report.page.answer import slower_text
+from dpbench.report.page.recommendation import slower_text
 
 
 def _good(records: Any, tmp_path: Path) -> Path:
@@ -27,7 +27,7 @@ def _good(records: Any, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def drawn(written: Any) -> str:
     report = written.report
-    return statement_svg(written.folder, report.results, report.facts)
+    return statement_svg(written.folder, report.results, report.data)
 
 
 def _texts(svg: str) -> list[ElementTree.Element]:
@@ -80,8 +80,10 @@ def test_it_holds_the_hashes_of_the_files(drawn: str, written: Any) -> None:
 def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
     """Solver, way, version, error, times and slow-downs of what is recommended."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
-    facts = written.report.facts
-    (verdict,) = (v for v in facts.verdicts.all if v.configuration == written.report.answer.first)
+    facts = written.report.data
+    (verdict,) = (
+        v for v in facts.verdicts.all if v.configuration == written.report.recommendation.first
+    )
     assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default." in text
     for figure in (
         error_text(verdict.error_move),
@@ -97,7 +99,7 @@ def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
 def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: Any) -> None:
     """Every place that was held is named, and the limits of the claim stand on the page."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
-    facts, first = written.report.facts, written.report.answer.first
+    facts, first = written.report.data, written.report.recommendation.first
     for p, place in enumerate(facts.places):
         if facts.state(facts.index(first), p) == "meets":
             assert place.label in text
@@ -106,7 +108,7 @@ def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: An
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
     """An older folder says its version alone."""
-    results, facts = written.results, written.report.facts
+    results, facts = written.results, written.report.data
     old = statement_svg(written.folder, results, facts)
     suite = results.suite | {"revisions": [{"commit": "c0ffee" * 6, "clean": False}]}
     new = statement_svg(written.folder, replace(results, suite=suite), facts)

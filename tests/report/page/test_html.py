@@ -17,8 +17,8 @@ import pytest
 from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hashes
-from dpbench.report.page import cite
-from dpbench.report.page.write import SCRIPTS, own
+from dpbench.report.page.write import SCRIPTS, own, software_citation
+from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
 from tests.report.conftest import of_seas
 from tests.report.page.test_pack import unpacked
@@ -125,7 +125,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
     a code of those of its run."""
     (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
     document, arrays = unpacked(text.strip())
-    facts = written.report.facts
+    facts = written.report.data
     assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
     assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
     cells = document["cells"]
@@ -198,15 +198,15 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
     of: dict[str, list[str]] = {}
     for name, *values in said:
         of.setdefault(name, []).extend(value.strip('"') for value in values)
-    entry = cite.software(written.results)
+    entry = software_citation(written.results)
     title, of_the_paper = of["title"]
     assert title in " ".join(entry.split())
     assert f"{{{of['name'][0]}}}" in entry
     assert f"year = {{{written.results.suite['started_utc'][:4]}}}" in entry
     assert f"version {written.results.suite['harness_version']}" in entry
-    assert f"title = {{{of_the_paper}}}" in cite.PAPER
+    assert f"title = {{{of_the_paper}}}" in PAPER_CITATION
     assert len(of["family-names"]) == 4
     for family, given in zip(of["family-names"], of["given-names"], strict=True):
-        assert f"{family}, {given}" in cite.PAPER
-    for text in (entry, cite.PAPER):
+        assert f"{family}, {given}" in PAPER_CITATION
+    for text in (entry, PAPER_CITATION):
         assert str(escape(text)) in written.html

@@ -8,15 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, track_of
+from dpbench.analysis.records.kept_runs import (
+    FORCES,
+    TRACK,
+    KeptRun,
+    extremes,
+    thinned_indices,
+    track_of,
+)
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
-from dpbench.analysis.records.thinning import extremes, kept
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import verdicts_of
-from dpbench.report.page import facts as facts_of_page
+from dpbench.report.page import data as page_data
 from dpbench.report.page import steps as packing
-from dpbench.report.page.facts import Facts
+from dpbench.report.page.data import PageData
 from dpbench.report.page.pack import Block
 from dpbench.report.page.steps import FLAGS, Room, pack_steps
 from tests.report.page.test_pack import unpacked
@@ -43,7 +49,7 @@ def test_what_fits_stays_whole() -> None:
     """Nothing is thinned while all runs together have room."""
     lengths = [667] * 500
     assert sum(lengths) <= packing.MOST_STEPS and Room.of(lengths).steps >= 667
-    chosen, extra = kept(_long(667), Room.of(lengths).steps)
+    chosen, extra = thinned_indices(_long(667), Room.of(lengths).steps)
     assert len(chosen) == 667 and not extra.any()
 
 
@@ -62,7 +68,7 @@ def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
 def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
     """Hard ones are marked, so that means can leave them out; the others are equally far apart."""
     run = _long(20_000)
-    chosen, extra = kept(run, most)
+    chosen, extra = thinned_indices(run, most)
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
     assert len(set(np.diff(chosen[~extra]))) == 1
     for measure in MEASURES:
@@ -113,7 +119,7 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
 
     def size() -> int:
         view, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(view, verdicts_of(view, demand))
+        facts = PageData.of(view, verdicts_of(view, demand))
         cells = list(facts.cells())
         assert len(cells) == 4
         return len(facts.block.text({}))
@@ -131,9 +137,9 @@ def test_of_many_runs_fewer_hard_steps_are_listed(
         records.replay(solver, steps=30, rounds=1, spread=0.3)
 
     def listed(most: int) -> set[int]:
-        monkeypatch.setattr(facts_of_page, "MOST_HARD", most)
+        monkeypatch.setattr(page_data, "MOST_HARD", most)
         view, demand = records.view(), Demand.of({})
-        facts = Facts.of(view, verdicts_of(view, demand))
+        facts = PageData.of(view, verdicts_of(view, demand))
         assert all(len(rows) == 5 for run in facts.kept.values() for rows in run.hard.values())
         return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.report.page import facts as facts_of_page
+from dpbench.report.page import data as page_data
 from dpbench.report.report import Report
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 def test_every_sea_has_its_errors(records: Any) -> None:
     """Those of its run: how far off, whether held, and how far behind the reference there."""
     made = of_seas(records)
-    facts = Report.of(made.results()).facts
+    facts = Report.of(made.results()).data
     (study,) = facts.study_documents
     runs = made.results().runs.set_index("run_id")
     own = study["runs"]
@@ -35,7 +35,7 @@ def test_every_sea_has_its_errors(records: Any) -> None:
 
 def test_it_opens_where_least_is_held(records: Any) -> None:
     """The configuration, a point and a sea in which the ship is lost."""
-    facts = Report.of(of_seas(records).results()).facts
+    facts = Report.of(of_seas(records).results()).data
     assert facts.opening is not None
     c, p = facts.opening
     place = facts.places[p]
@@ -51,12 +51,12 @@ def test_seas_enter_no_verdict(records: Any) -> None:
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
     report = Report.of(made.results())
-    assert [report.facts.places[p].label for p in report.facts.judged_places] == [
+    assert [report.data.places[p].label for p in report.data.judged_places] == [
         "calm",
         "calm (replay)",
     ]
-    assert report.facts.opening is None
-    assert not any("sea" in chip.text for chip in report.answer.chips)
+    assert report.data.opening is None
+    assert not any("sea" in chip.text for chip in report.recommendation.chips)
     assert set(report.tables["places"]["place"]) == {"calm", "calm (replay)"}
     assert set(report.tables["places"]["settings"]) == {"default"}
 
@@ -66,8 +66,8 @@ def test_a_page_keeps_the_first_seas_of_all_points(
 ) -> None:
     """Of more loops than it has room for; the others stand with their errors alone."""
     room = 3 * len(HEIGHTS) * len(OFFSETS)
-    monkeypatch.setattr(facts_of_page, "MOST_LOOPS", room)
-    facts = Report.of(of_seas(records).results()).facts
+    monkeypatch.setattr(page_data, "MOST_LOOPS", room)
+    facts = Report.of(of_seas(records).results()).data
     assert len(facts.runs) == room
     assert {facts.places[p].replicate for _, p in facts.runs} == {1}
     assert len(facts.places) == len(HEIGHTS) * len(OFFSETS) * SEAS

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from dpbench.report.report import Report
-from dpbench.report.topics.thrusters.conclusion import conclusion_topic
+from dpbench.report.topics.conclusion import conclusion_topic
 
 WARM = {"route": "native", "policy": "warm"}
 
@@ -27,7 +27,7 @@ def campaign(records: Any, solvers: dict[str, tuple[float, float]], *, forces: b
 def said(records: Any) -> tuple[str, ...]:
     """The lines of the topic; none where there is none."""
     report = Report.of(records.results())
-    topic = conclusion_topic(report.facts.records, report.facts.verdicts)
+    topic = conclusion_topic(report.data.records, report.data.verdicts)
     assert topic is None or report.topics[0].id == "conclusion"
     return () if topic is None else topic.lines
 

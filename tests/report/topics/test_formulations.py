@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from dpbench.analysis.times.routes import route_comparisons
+from dpbench.analysis.times.contrasts import route_gains
 from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
 from dpbench.report.table import Table
@@ -77,7 +77,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     before = records.view()
     expected = (
         [_figures(v) for v in verdicts_of(before, DEMAND).all],
-        [w.median_ns(way) for w in route_comparisons(before, "paper") for way in sorted(w.times)],
+        route_gains(before, "paper"),
         [run.run_id for run in before.replays("paper")],
     )
     configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
@@ -87,7 +87,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     after = records.view()
     found = (
         [_figures(v) for v in verdicts_of(after, DEMAND).all],
-        [w.median_ns(way) for w in route_comparisons(after, "paper") for way in sorted(w.times)],
+        route_gains(after, "paper"),
         [run.run_id for run in after.replays("paper")],
     )
     assert found == expected

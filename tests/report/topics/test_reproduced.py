@@ -10,8 +10,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.topics.claims import choices, claims
-from dpbench.report.topics.paper import paper_topic
+from dpbench.report.topics.paper import choices, claims, paper_topic
 
 WHOLE = 1000
 """Steps of the paper's case: 300 s in samples of 0.3 s."""

@@ -30,7 +30,7 @@ DENOMINATORS = (1, 12, 60, 1000)
 
 
 def crossed(qp: QuadraticProgram) -> Vector | None:
-    """The unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
+    """Return the unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
     problem = JointQP.of(qp)
     crossing = np.flatnonzero(problem.L > problem.U)
     if not len(crossing):
@@ -78,7 +78,7 @@ def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
 
 
 def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box), or None where none is found.
+    """Find a valid Farkas vector (y, y_box), or None.
 
     An independent linear program over the signed parts of (y, y_box), normalised to sum 1, then
     verified exactly; with infinite bounds the vector is also tried as small fractions, since
@@ -105,7 +105,7 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
 
 
 def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
+    """Find a valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
     for y in chain((both[: qp.m],), _fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):
@@ -156,7 +156,7 @@ def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
 
 
 def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
-    """A valid direction of unboundedness, or None where none is found."""
+    """Find a valid direction of unboundedness, or None."""
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))

@@ -32,7 +32,7 @@ NEAR = 1e-9
 
 
 def fix_forced(problem: JointQP) -> JointQP | None:
-    """The same problem with forced variables fixed and forcing rows dropped; None without any.
+    """Fix forced variables and drop forcing rows; return None where there are none.
 
     None too where two rows force a variable to different bounds, which is for others to refute.
     """
@@ -82,14 +82,14 @@ NONE = 1e-9
 
 
 def without_empty(problem: JointQP) -> JointQP:
-    """The same problem less the limits of rows without coefficients that any z satisfies."""
+    """Drop the limits of rows without coefficients that any z satisfies."""
     idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
     L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
 def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
-    """The same problem with limits that are never slack as independent equality rows, or None.
+    """Make limits that are never slack independent equality rows, or return None.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
 
 
 def _independent_equalities(problem: JointQP) -> JointQP | None:
-    """The same problem less the equality rows that are exact combinations of others, or None."""
+    """Drop the equality rows that are exact combinations of others; None if one is not."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
     basis = independent(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)

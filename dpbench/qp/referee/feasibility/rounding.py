@@ -1,5 +1,4 @@
-"""Infeasible by rounding: whether a problem without a feasible point had one before its numbers
-were rounded.
+"""Infeasible by rounding: whether a problem was feasible before its numbers were rounded.
 
     t* = the least t for which some z has  L − t·s ≤ C z ≤ U + t·s,   C = [A; I]
     undecided:  t* ≤ γ_{n+2} = (n+2)·u / (1 − (n+2)·u),  u = 2^−53
@@ -87,7 +86,7 @@ def least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViola
 
 
 def sizes(problem: JointQP) -> tuple[Vector, Vector]:
-    """s of the upper and of the lower limits, (N,) each; 0 where a limit is infinite."""
+    """Return s of the upper and of the lower limits, (N,) each; 0 where a limit is infinite."""
     C = np.abs(problem.C)
     n = C.shape[1]
     m = len(C) - n
@@ -129,7 +128,10 @@ def _least(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
 
 
 def _named(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
-    """The rows of a Farkas vector and their weights, with the exact −Aᵀy for its part of bounds."""
+    """Return the rows of a Farkas vector and their weights.
+
+    With the exact −Aᵀy for its part of bounds.
+    """
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)
     if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
@@ -144,7 +146,7 @@ def _named(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
 
 
 def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box) of a problem whose violation a plain linear program misses.
+    """Find a valid Farkas vector (y, y_box) where a plain linear program misses the violation.
 
     The multipliers of the magnified linear programs, one after the other, verified exactly.
     """
@@ -168,7 +170,7 @@ class _Point:
 
 
 def _reached(problem: JointQP, upper: Vector, lower: Vector, enough: float) -> float:
-    """The violation of the best point found, or of the first that is no worse than `enough`."""
+    """Return the violation of the best point found, or of the first not above `enough`."""
     best = float(np.inf)
     for point in _points(problem, upper, lower):
         best = min(best, point.violation)
@@ -216,7 +218,7 @@ def _worst(slack: Dyadic, size: Vector) -> float:
 
 
 def _step(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
-    """d that leaves the least t with G d ≤ slack + t·s, of magnified slacks, and multipliers."""
+    """Return d with the least t in G d ≤ slack + t·s, of magnified slacks, and multipliers."""
     near = slack < ENDLESS / GAIN
     A = np.column_stack((G, -size))[near]
     # Columns and rows in units of their largest numbers: the library's tolerance is absolute.

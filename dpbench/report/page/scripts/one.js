@@ -296,3 +296,38 @@ function play() {
     state.k = run.first + at * track.every; at += 2; drawShip(run); drawStep(run);
   }, 33);
 }
+
+// The step nearest to a click anywhere among the strips.
+function nearestStep(view, event) {
+  const x = event.clientX - view.container().querySelector("canvas").getBoundingClientRect().left;
+  const wanted = view.scale("x").invert(x - view.origin()[0] - view.padding().left);
+  const rows = rowsOf(cell(state.c, state.p));
+  return rows.reduce((best, row) => (Math.abs(row.k - wanted) < Math.abs(best.k - wanted) ? row : best)).k;
+}
+
+// One solver: what is chosen, the step, the ship.
+function listenOne() {
+  const choose = (change) => {
+    const solver = change.solver ?? C().solver[state.c];
+    const c = nearest(solver, change.way ?? way(state.c), change.settings ?? C().settings[state.c]);
+    const p = cell(c, state.p) ? state.p : Math.max(0, facts.places.findIndex((_, i) => cell(c, i)));
+    // The same step of another solver, where that has it.
+    select({ c, p, k: p === state.p && stepped(cell(c, p), state.k) ? state.k : null });
+  };
+  for (const name of ["solver", "way", "settings"]) on(`choose-${name}`, "change", (value) => choose({ [name]: value }));
+  on("choose-place", "change", (value) => select({ p: Number(value), k: null }));
+  on("ship-k", "input", (value) => {
+    const run = cell(state.c, state.p), track = trackOf(run);
+    select({ k: run.first + Number(value) * track.every });
+  });
+  $("ship-play").addEventListener("click", play);
+}
+
+FIGURES.strips = {
+  canvas: true,
+  // A replay has no forces, so no strip of them.
+  form: () => (facts.places[state.p].mode === "replay" ? "strips_replay" : "strips"),
+  sized: (spec, width) => ({ ...spec, width: width - 78, autosize: { type: "pad", resize: true } }),
+  picked: (datum, view, event) => select({ k: datum?.k ?? nearestStep(view, event) }),
+};
+SECTIONS.push({ id: "one", after: ["c", "p", "k"], draw: drawOne, listen: listenOne });

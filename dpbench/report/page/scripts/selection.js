@@ -8,6 +8,12 @@
 
 const state = {};
 
+// What each section registers: the `id` of a node without which it is not on the page, `draw` after
+// a change of these parts of the selection, `redraw` in another look, and `listen` at the start.
+const SECTIONS = [];
+const sections = () => SECTIONS.filter((own) => $(own.id));
+const on = (id, event, act) => $(id).addEventListener(event, (e) => act(e.target.value));
+
 function time(ns) {
   if (ns === null || ns === undefined) return "–";
   if (ns < 1e3) return `${figure(ns)} ns`;

@@ -138,7 +138,7 @@ function drawStudyChoice(study) {
 
 async function drawStudy() {
   const study = studied();
-  if (!study || !$("study-live")) return;
+  if (!study) return;
   drawStudyChoice(study);
   $("study-said").textContent = studySaid(study);
   const fill = async (name, tables, signals = {}) => {
@@ -164,20 +164,29 @@ function pickedOfStudy(datum) {
 }
 
 function listenStudy() {
-  if (!$("study-live")) return;
   const choose = (change) => {
     const study = studied(), now = { ...there(study), ...change };
     if (study.points.includes(now.point)) select({ p: placeOf(study, now.point, now.sea), k: null });
     else drawStudyChoice(study);
   };
-  const on = (id, act) => $(id).addEventListener("change", (event) => act(event.target.value));
-  on("study-of", (name) => {
+  const chosen = (id, act) => on(id, "change", act);
+  chosen("study-of", (name) => {
     const study = facts.studies.find((s) => s.name === name);
     const p = placeOf(study, study.points[0], study.runs.sea[0]);
     select({ c: study.c.includes(state.c) ? state.c : study.c[0], p, k: null });
   });
-  on("study-who", (c) => select({ c: Number(c), k: null }));
-  on("study-point", (point) => choose({ point: Number(point) }));
-  on("study-sea", (sea) => choose({ sea: Number(sea) }));
-  for (const id of ["study-across", "study-up"]) on(id, drawStudy);
+  chosen("study-who", (c) => select({ c: Number(c), k: null }));
+  chosen("study-point", (point) => choose({ point: Number(point) }));
+  chosen("study-sea", (sea) => choose({ sea: Number(sea) }));
+  for (const id of ["study-across", "study-up"]) chosen(id, drawStudy);
 }
+
+const OF_STUDY = { picked: (datum) => datum && pickedOfStudy(datum) };
+FIGURES.design = {
+  ...OF_STUDY,
+  // A design of many values is no table.
+  form: () => (asTiles(studied()) ? "design_tiles" : "design_points"),
+  sized: (spec, width) => ({ ...named(spec), width, autosize: FIT }),
+};
+FIGURES.behind = FIGURES.seas = { ...OF_STUDY, canvas: true };
+SECTIONS.push({ id: "study-live", after: ["c", "p"], draw: drawStudy, listen: listenStudy });

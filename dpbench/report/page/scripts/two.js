@@ -74,3 +74,15 @@ async function drawTwo() {
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
     + `| demand | ${C().outcome[state.c]} | ${C().outcome[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
 }
+
+FIGURES.pairs = {
+  canvas: true,
+  sized: (spec, width) => {
+    const square = Math.min(width, 460);
+    return { ...named(spec), width: square, height: square, autosize: { ...FIT, type: "fit" } };
+  },
+};
+SECTIONS.push({
+  id: "two", after: ["c", "b"], draw: drawTwo,
+  listen: () => on("choose-other", "change", (value) => select({ b: Number(value) })),
+});

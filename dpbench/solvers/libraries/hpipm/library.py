@@ -54,7 +54,7 @@ def _load_blasfeo() -> ctypes.CDLL:
 
 
 def blasfeo_build() -> Build:
-    """The vector instructions that HPIPM's linear algebra was compiled for, as it says itself.
+    """Read the vector instructions that HPIPM's linear algebra was compiled for.
 
     Every target of BLASFEO but the generic one needs some.
     """
@@ -62,7 +62,7 @@ def blasfeo_build() -> Build:
 
 
 def build_of(library: Any) -> Build:
-    """The build of a BLASFEO that is loaded; one that does not say is not called anything."""
+    """Read the build of a BLASFEO that is loaded; one that does not say is not called anything."""
     if not hasattr(library, "blasfeo_processor_library_features"):
         return Build()
     features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
@@ -111,11 +111,11 @@ class Structures:
         ]
 
     def function(self, name: str) -> Any:
-        """A function of the library for this kind of problem."""
+        """Look up a function of the library for this kind of problem."""
         return getattr(self._library, f"{self._kind}_{name}")
 
     def calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
-        """The function that sets or gets each array that is not empty, and its address."""
+        """Return the function and the address of each array that is not empty, to set or get it."""
         named = [(name, array) for name, array in arrays.items() if array.size]
         return [(self.function(f"{verb}_{name}"), pointer(array)) for name, array in named]
 
@@ -128,7 +128,7 @@ class Structures:
         self._solve(self.qp, self.sol, self.arg, self.ws)
 
     def outcome(self) -> Claim:
-        """What HPIPM says of the last solve."""
+        """Read HPIPM's claim about the last solve."""
         for function, target in self._asked:
             function(self.ws, target)
         flag = self._flag.value
@@ -154,7 +154,7 @@ class Structures:
 
 
 def pointer(array: NDArray[Any]) -> Any:
-    """The address of an array, for a C function."""
+    """Return the address of an array, for a C function."""
     return ctypes.c_void_p(array.ctypes.data)
 
 

@@ -45,7 +45,7 @@ class OcpWorkspace(HpipmWorkspace):
         self._pattern = None
 
     def _find(self) -> None:
-        """The stages, and all that is the same while the same limits are equal or infinite."""
+        """Find the stages, and what stays while the same limits are equal or infinite."""
         self._pattern = Sides.pattern(self._l, self._u)
         stages = find_stages(self._P, self._A, self._l == self._u)
         self._data = StageData(stages, self._P, self._A, self._low, self._high)

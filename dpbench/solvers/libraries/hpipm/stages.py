@@ -61,7 +61,7 @@ class Stage:
 
 
 def find_stages(P: Matrix, A: Matrix, equal: Flags) -> list[Stage]:
-    """The stages of a QP, in order; one stage if it has no others.
+    """Find the stages of a QP, in order; one stage if it has no others.
 
     Parameters
     ----------
@@ -109,7 +109,9 @@ def _couplings(P: Matrix, members: list[Indices], defines: dict[int, int]) -> Co
 
 
 def _potentials(couplings: Couplings, states: set[int]) -> Indices | None:
-    """The stage of each variable, each connected part as early as can be; None if there is none.
+    """Find the stage of each variable, each connected part as early as can be.
+
+    None if there is none.
 
     A state is never in stage 0, from where nothing could lead to it.
     """
@@ -304,7 +306,7 @@ class Part:
                 at += size
 
     def gather(self, source: Vector, numbers: Indices) -> Vector:
-        """The entries of a vector of the QP, in memory to be changed before `send`."""
+        """Return the entries of a vector of the QP, in memory to be changed before `send`."""
         return source.take(numbers, out=self._new)
 
     def send(self, everything: bool = False) -> None:

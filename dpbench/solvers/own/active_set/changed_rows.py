@@ -79,7 +79,10 @@ def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector)
 
 @compiled
 def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
-    """The changed rows into A, [P Aᵀ] and SUM; whether any entry was zero before."""
+    """Write the changed rows into A, [P Aᵀ] and SUM.
+
+    Returns whether any entry was zero before.
+    """
     n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
     for c in range(count):
         i, terms = int(S[BEFORE, c]) & MASK, 0.0
@@ -95,7 +98,10 @@ def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
 
 @compiled
 def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """The columns of changed rows in a block of K or H; whether any entry was zero before."""
+    """Write the columns of changed rows in a block of K or H.
+
+    Returns whether any entry was zero before.
+    """
     n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
     for r in range(block, block + rows):
         for c in range(len(first) - 1):
@@ -110,7 +116,7 @@ def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vec
 
 @compiled
 def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector) -> None:
-    """The changed rows of H or J."""
+    """Write the changed rows of H or J."""
     n_pad = int(S[HEAD, N_PAD]) & MASK
     for c in range(len(first) - 1):
         r = block + n_pad + (int(S[BEFORE, c]) & MASK)
@@ -124,7 +130,10 @@ def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Ve
 
 @compiled
 def lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """UNIT of the changed rows; False if the factors of P have to tell what they cancel to."""
+    """Write UNIT of the changed rows.
+
+    Returns False if the factors of P have to tell what they cancel to.
+    """
     n_pad, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     for c in range(len(first) - 1):
         i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0

@@ -49,6 +49,7 @@ large multiplier times rounding is no error."""
 
 @compiled
 def largest(S: Matrix, row: int, n: int) -> float:
+    """Return the largest absolute value of the first n entries of a row."""
     most = 0.0
     for i in range(n):
         most = max(most, abs(S[row, i]))
@@ -57,7 +58,7 @@ def largest(S: Matrix, row: int, n: int) -> float:
 
 @compiled
 def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
-    """The most by which a row exceeds what is allowed of violation and complementarity.
+    """Return the most by which a row exceeds the allowed violation and complementarity.
 
     The inactive row that does so most by its violation is left in `WORST`, −1 if there is none.
     """
@@ -100,7 +101,7 @@ def gradient(S: Matrix, P: int, i: int, n: int, width: int) -> tuple[float, floa
 
 @compiled
 def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
-    """The most by which an entry of r exceeds what is allowed."""
+    """Return the most by which an entry of r exceeds what is allowed."""
     size, cost, most = largest(S, Z, n), largest(S, Q, n), 0.0
     for i in range(n):
         r, terms = gradient(S, P, i, n, width)
@@ -116,8 +117,9 @@ def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
 
 @compiled
 def is_near(S: Matrix, P: int, H: int, n: int, width: int) -> bool:
-    """Whether r leaves the answer near the optimum of its active rows, as it does where P is not
-    too ill-conditioned.
+    """Return whether r leaves the answer near the optimum of its active rows.
+
+    It does where P is not too ill-conditioned.
 
     With r and its rounding, |z_i − z*_i| ≤ √((P⁻¹)_ii · |r|ᵀ|P⁻¹||r|).
     """
@@ -135,6 +137,6 @@ def is_near(S: Matrix, P: int, H: int, n: int, width: int) -> bool:
 
 @compiled
 def excess(S: Matrix, P: int, n: int, width: int) -> float:
-    """The most by which (Z, λ) exceeds what is allowed: up to 1 it is an optimum."""
+    """Return the most by which (Z, λ) exceeds what is allowed: up to 1 it is an optimum."""
     gradient = excess_of_gradient(S, P, n, width)
     return max(gradient, excess_of_rows(S, P, n, width)) if gradient < inf else inf

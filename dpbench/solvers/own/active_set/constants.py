@@ -121,6 +121,6 @@ def vectors(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
 
 
 def constraints(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
-    """A (m, n), l, u, lb and ub as views of S."""
+    """Return A (m, n), l, u, lb and ub as views of S."""
     A = _blocks(S, _padded(n))[-1][:m, :n]
     return A, *vectors(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]

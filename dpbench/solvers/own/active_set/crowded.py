@@ -106,7 +106,7 @@ def is_crowded(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
 
 @compiled
 def side_near(S: Matrix, i: int, size: float) -> float:
-    """The side at which row i is near its limit, 0 for none, 2 for both."""
+    """Return the side at which row i is near its limit, 0 for none, 2 for both."""
     u, v = S[UNIT, i], S[V, i]
     little = NEAR * (abs(v) * u + size)
     high, low = (S[HIGH, i] - v) * u <= little, (v - S[LOW, i]) * u <= little
@@ -205,7 +205,7 @@ def squeezes(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
 
 @compiled
 def entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
-    """An entry of row i of C; behind the last its limit."""
+    """Return an entry of row i of C; behind the last its limit."""
     if column == n:
         return float(S[HIGH, i] if side > 0.0 else S[LOW, i])
     if i < n:

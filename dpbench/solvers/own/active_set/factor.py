@@ -39,6 +39,7 @@ from the rows themselves, because the factor has lost six digits of it."""
 
 @compiled
 def forward(S: Matrix, L: int, w: int, b: int) -> None:
+    """Solve L x = b in place, for row b of S."""
     for i in range(w):
         s = S[b, i]
         for k in range(i):
@@ -48,6 +49,7 @@ def forward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def backward(S: Matrix, L: int, w: int, b: int) -> None:
+    """Solve Lᵀ x = b in place, for row b of S."""
     for i in range(w - 1, -1, -1):
         x = S[b, i] * S[INVERSE, i]
         S[b, i] = x
@@ -57,6 +59,7 @@ def backward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def limit_of(S: Matrix, i: int) -> float:
+    """Return the limit that row i is held at."""
     g: float = S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
     return g
 
@@ -128,7 +131,10 @@ def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
 
 @compiled
 def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
-    """r = H_WW⁻¹ H_Wj in R, the factor's new row in STEP; the squared distance of row j from W."""
+    """Write r = H_WW⁻¹ H_Wj to R, the factor's new row to STEP.
+
+    Returns the squared distance of row j from W.
+    """
     for k in range(w):
         S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
     forward(S, L, w, STEP)

@@ -165,7 +165,7 @@ TINY = 1e-300
 
 @compiled
 def ray(S: Matrix, j: int, side: float, w: int) -> int:
-    """The multipliers become the proof that row j contradicts the active ones."""
+    """Write the proof that row j contradicts the active ones into the multipliers."""
     for i in range(width_of(S)):
         S[LAM, i] = 0.0
     for k in range(w):
@@ -243,7 +243,7 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 
 @compiled
 def take_up(S: Matrix, H: int, size: float) -> int:
-    """The row put aside that is violated most, if by more than rounding, as any other row again."""
+    """Readmit the row put aside that is violated most, if by more than rounding."""
     most, row = 1.0, -1
     for i in range(width_of(S)):
         if S[SIDE, i] == PUT_ASIDE:
@@ -275,7 +275,10 @@ def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size:
 
 @compiled
 def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
-    """A row that the refined point violates, or one put aside that it violates; −1 for none."""
+    """Return a row that the refined point violates, or one put aside that it violates.
+
+    −1 for none.
+    """
     evaluate(S, P, H)
     if dropped > 0:
         repair(S, L)
@@ -286,7 +289,10 @@ def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dro
 
 @compiled
 def solved(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
-    """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
+    """Return the number of iterations.
+
+    `DOUBTFUL` where rounding may decide where the optimum is.
+    """
     if is_crowded(S, L, H, J, size):
         return DOUBTFUL
     n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
@@ -296,6 +302,7 @@ def solved(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) 
 
 @compiled
 def solve(S: Matrix) -> int:
+    """Solve the QP in S; return the number of iterations, or a negative ending."""
     n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
     K, P, H, J, A, L = starts(n, width)
     size = begin(S, K)
@@ -330,7 +337,7 @@ def solve(S: Matrix) -> int:
 
 
 def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
-    """What Python calls: compiled for these types only, and kept on disk."""
+    """Compile what Python calls, for these types only, and keep it on disk."""
 
     @njit("i8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def solve_step(S):  # type: ignore[no-untyped-def] # compiled by numba

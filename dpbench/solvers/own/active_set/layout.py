@@ -69,17 +69,17 @@ REORDER = {"reassoc", "contract", "nsz"}
 
 
 def compiled(function: F) -> F:
-    """A function that other compiled functions call."""
+    """Compile a function that other compiled functions call."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
 def inlined(function: F) -> F:
-    """The same where a call takes as long as what is done."""
+    """Compile a function inline, where a call takes as long as what is done."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy", forceinline=True)(function))
 
 
 def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
-    """The first rows of K, P, H, J, A and L in S."""
+    """Return the first rows of K, P, H, J, A and L in S."""
     K = VECTORS
     P = K + n_pad
     H = P + n_pad
@@ -100,8 +100,9 @@ def width_of(S: Matrix) -> int:
 
 
 def stamp(function: Callable[..., object]) -> int:
-    """A number that changes with any compiled function that `function` calls, or those call, and
-    with the constants they name.
+    """Return a number that changes with any compiled function that `function` calls.
+
+    Or that those call, and with the constants they name.
 
     Numba's cache looks at the file of the function it holds, not at what that function calls; a
     stamp in its closure makes it look at both. What else has been imported is not in it: another
@@ -123,6 +124,6 @@ def stamp(function: Callable[..., object]) -> int:
 
 
 def _names(code: CodeType) -> list[str]:
-    """What a function names, and what those written inside it do."""
+    """List the names that a function, and those written inside it, refer to."""
     inside = [constant for constant in code.co_consts if isinstance(constant, CodeType)]
     return [*code.co_names, *(name for within in inside for name in _names(within))]

@@ -58,7 +58,7 @@ def add_active(S: Matrix, out: int, sign: float, H: int) -> None:
 
 @compiled
 def values(S: Matrix, H: int) -> None:
-    """v of the active set (eq. 32)."""
+    """Compute v of the active set (eq. 32)."""
     w = int(S[HEAD, COUNT]) & MASK
     for i in range(width_of(S)):
         S[V, i] = S[V0, i]
@@ -80,7 +80,7 @@ def row_values(S: Matrix, out: int, P: int, n: int) -> None:
 
 @compiled
 def evaluate(S: Matrix, P: int, H: int) -> None:
-    """v anew from Z, in the problem's own rows, and v₀ from v."""
+    """Compute v anew from Z, in the problem's own rows, and v₀ from v."""
     row_values(S, V, P, int(S[HEAD, N_PAD]) & MASK)
     for i in range(width_of(S)):
         S[V0, i] = S[V, i]
@@ -101,7 +101,7 @@ def violation(S: Matrix, i: int, noise: float) -> float:
 
 @compiled
 def most_violated(S: Matrix, noise: float) -> int:
-    """The inactive row violated most in the norm of P⁻¹; −1 if there is none."""
+    """Return the inactive row violated most in the norm of P⁻¹; −1 if there is none."""
     excess, width = 0.0, width_of(S)
     for i in range(width):
         over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
@@ -119,7 +119,10 @@ def most_violated(S: Matrix, noise: float) -> int:
 
 @compiled
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
-    """The inactive rows violated by no less than `SHARE` of what row j, the most violated, is."""
+    """List the inactive rows violated by no less than `SHARE` of the most violated.
+
+    That is row j.
+    """
     least, count = SHARE * violation(S, j, noise), 0
     for i in range(width_of(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
@@ -132,7 +135,10 @@ def list_candidates(S: Matrix, j: int, noise: float) -> None:
 
 @compiled
 def best_candidate(S: Matrix, H: int, noise: float) -> int:
-    """The candidate violated most now, −1 if there is none; those not violated leave the list."""
+    """Return the candidate violated most now, −1 if there is none.
+
+    Those not violated leave the list.
+    """
     count, w = int(S[CHECK, CANDIDATES]) & MASK, int(S[HEAD, COUNT]) & MASK
     most, worst, left = 0.0, -1, 0
     for c in range(count):
@@ -156,7 +162,7 @@ def best_candidate(S: Matrix, H: int, noise: float) -> int:
 
 @inlined
 def next_row(S: Matrix, H: int, noise: float) -> int:
-    """The row to bring in: the most violated candidate, or of all rows where none is left."""
+    """Return the row to add: the most violated candidate, or of all rows where none is left."""
     many = width_of(S) > NARROW
     j = best_candidate(S, H, noise) if many else -1
     if j < 0:

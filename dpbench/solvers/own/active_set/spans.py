@@ -78,7 +78,7 @@ def any_entry(S: Matrix, first: int, end: int, column: int) -> bool:
 
 @compiled
 def spans_of(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
-    """The columns of S in which the spans of a part of row r begin and end."""
+    """Return the columns of S in which the spans of a part of row r begin and end."""
     first = int(S[r, width]) if part == ROWS else 0
     end = int(S[r, width]) if part == BOUNDS else int(S[r, width + 1])
     return (width + 2 + 2 * first) & MASK, (width + 2 + 2 * end) & MASK

@@ -90,6 +90,7 @@ def length(S: Matrix, row: int) -> float:
 
 @compiled
 def forget(S: Matrix) -> None:
+    """Empty the active set, with all multipliers zero."""
     for i in range(width_of(S)):
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
@@ -189,7 +190,7 @@ def take_out(S: Matrix) -> int:
 
 @compiled
 def retake(S: Matrix, L: int, H: int) -> None:
-    """The same set again, with the factor of what H has become."""
+    """Factor the same set again, for what H has become."""
     for k in range(take_out(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         take_in(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
@@ -197,7 +198,7 @@ def retake(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def shift(S: Matrix, L: int, H: int) -> None:
-    """The set moves on by one move; the last move keeps what it had as well."""
+    """Shift the set by one move; the last move keeps what it had as well."""
     n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     for k in range(take_out(S)):
@@ -223,7 +224,10 @@ def take_in_equalities(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def start(S: Matrix, L: int, H: int, noise: float) -> int:
-    """The set to start from and its v: the same as before if that will do; a row it violates."""
+    """Choose the set to start from and compute its v: the same as before if that will do.
+
+    Returns a row it violates.
+    """
     take_in_equalities(S, L, H)
     if S[HEAD, COUNT] > 0.0:
         wrong = multipliers(S, L)

@@ -29,7 +29,7 @@ ROUNDS = 5
 def solve_carefully(
     qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
 ) -> Solution:
-    """The answer to `qp`, whose P is positive definite and whose data are finite or limits.
+    """Solve `qp`, whose P is positive definite and whose data are finite or limits.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class _Problem:
         return Solution(status, z, lam[:m], lam[m:], outcome.iterations, detail=detail)
 
     def _refined(self, outcome: Outcome, lam: Vector) -> tuple[Vector, Vector]:
-        """The answer on the final set, less rows whose multiplier is rounding of the wrong sign."""
+        """Refine on the final set, less rows whose multiplier is rounding of the wrong sign."""
         W, side = outcome.active, outcome.side
         inequality = self.lower < self.upper
         L = self.projection.L

@@ -59,7 +59,9 @@ LARGEST = 40
 
 
 def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
-    """A bound of max_i |z_i − z*_i|; inf where there is no such z′ or λ names a limit there is not.
+    """Return a bound of max_i |z_i − z*_i|.
+
+    inf where there is no such z′ or λ names a limit there is not.
 
     NaN where there are more than `LARGEST` equations.
 
@@ -104,7 +106,7 @@ class _Moved:
 
     @classmethod
     def onto(cls, problem: JointQP, z: Vector, held: Indices, limit: Vector) -> _Moved | None:
-        """The nearest z′ along some variables with C_B z′ = limits on the rows B `held`."""
+        """Find the nearest z′ along some variables with C_B z′ = limits on the rows B `held`."""
         start, columns = Dyadic.of(z), _pivots(problem.C[held])
         held = held[_row_order(problem.C[np.ix_(held, columns)])]
         K = Dyadic.of(problem.C[np.ix_(held, columns)])
@@ -149,7 +151,7 @@ def _pivots(C: Matrix) -> Indices:
 
 
 def _row_order(square: Matrix) -> Indices:
-    """The order of rows in which elimination meets no zero pivot."""
+    """Return the order of rows in which elimination meets no zero pivot."""
     if not len(square):
         return np.array([], dtype=np.intp)
     permutation, _, _ = scipy.linalg.lu(square, p_indices=True)
@@ -157,7 +159,10 @@ def _row_order(square: Matrix) -> Indices:
 
 
 def _distance(problem: JointQP, z: Vector, lam: Vector, gap: float) -> float:
-    """What the inequality leaves of |z_i − z*_i|, r with all that rounding may have added to it."""
+    """Bound |z_i − z*_i| by the inequality.
+
+    r comes with all that rounding may have added to it.
+    """
     P, C = problem.P, problem.C
     r = P @ z + problem.q + lam @ C
     terms = np.abs(P) @ np.abs(z) + np.abs(problem.q) + np.abs(lam) @ np.abs(C)

@@ -46,7 +46,7 @@ def clean(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
 
 @njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
 def _reach(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
-    """The most that limits allow a sum along a ray to be, and the size of its terms."""
+    """Return the largest sum along a ray that limits allow, and the size of its terms."""
     reach, size = 0.0, 0.0
     for i in range(len(ray)):
         if ray[i] != 0.0:

@@ -69,7 +69,7 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
 
 
 def unit_of(qp: QuadraticProgram) -> Vector:
-    """What an error of each variable is measured by (n,): half of what its bounds leave it.
+    """Return the unit of each variable's error (n,): half of what its bounds leave it.
 
     In scaled units that is 1, a rate-limit step. Where there is no bound, or less room, it is 1.
     """
@@ -80,7 +80,10 @@ def unit_of(qp: QuadraticProgram) -> Vector:
 def _answer(
     S: Matrix, qp: QuadraticProgram, columns: Indices, ending: int, start: Vector
 ) -> Vector:
-    """The answer to the problem in S, on which `solve_step` ended so; NaN where there is none."""
+    """Read the answer to the problem in S, on which `solve_step` ended so.
+
+    NaN where there is none.
+    """
     if ending >= 0 or ending == layout.DOUBTFUL:
         return S[layout.Z, : qp.n]
     if ending == layout.UNDECIDED:
@@ -93,8 +96,9 @@ def _answer(
 
 
 def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
-    """How far each row's limits are moved; None if those that cannot be moved as far are in doubt:
-    violated, or dependent on one another.
+    """Return how far each row's limits are moved.
+
+    None if those that cannot be moved as far are in doubt: violated, or dependent on one another.
 
     A row does not cross itself; one with equal limits stays, as `pinned.py` decides whether such
     rows depend on one another.

@@ -1,0 +1,173 @@
+"""What a person asks for, a suite or a part of it, and the plan that this means."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from dpbench.bench.judge.rules import supports
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.study_points import RunsTable
+from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.errors import InputError
+from dpbench.scenario.problem_files import sequence_path
+from dpbench.solvers.table import load_solver_module
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All cells of what was asked for.
+
+    Parameters
+    ----------
+    path : the file of the suite; document : what is left of it.
+    part : whether it is less than the whole suite.
+    """
+
+    name: str
+    path: Path
+    document: SuiteFile
+    cells: list[PlannedCell]
+    part: bool
+
+    @cached_property
+    def digest(self) -> str:
+        """Of all cells: another plan has another one."""
+        texts = sorted(planned.cell.to_json() for planned in self.cells)
+        return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What is asked for; each as in `run_campaign`."""
+
+    suite: str | None = None
+    sequence: str | None = None
+    solvers: Sequence[str] | None = None
+    scenarios: Sequence[str] | None = None
+    settings: Sequence[str] | None = None
+    steps: int | None = None
+    solver_module: str | None = None
+
+    def plan(self) -> Plan:
+        """The cells that are meant; InputError for whatever cannot be run."""
+        if self.solver_module is not None:
+            load_solver_module(self.solver_module)
+        name, path, document = self._suite()
+        chosen = {"scenarios": self.scenarios, "settings": self.settings}
+        document = with_choices(document, steps=self.steps, **chosen)
+        with naming(path, chosen=bool(self.settings)):
+            cells = plan(
+                document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
+            )
+        part = bool(self.solvers or self.scenarios or self.settings or self.steps is not None)
+        return Plan(name, path, document, cells, part)
+
+    @property
+    def _file(self) -> Path | None:
+        """The file of the suite; None where it has a name, or is none."""
+        named = self.suite is None or not self.suite.endswith(".toml")
+        return None if named else Path(str(self.suite))
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the suite can be read on this machine."""
+        return self._file is None or self._file.is_file()
+
+    def from_anywhere(self) -> RunRequest:
+        """The same, with the file of the suite as it is found from every folder."""
+        file = self._file
+        return self if file is None else replace(self, suite=str(file.resolve()))
+
+    def _suite(self) -> tuple[str, Path, SuiteFile]:
+        """Name, file and document of the suite, or of the one that replays a sequence."""
+        if self.suite is not None and self.sequence is None:
+            path, document = load_suite(self.suite)
+            return path.stem, path, document
+        if self.sequence is not None and self.suite is None:
+            meta = read_sequence(sequence_path(self.sequence)).sequence.meta
+            name = f"sequence-{Path(self.sequence).resolve().stem}"
+            return name, Path("suite"), sequence_suite(self.sequence, meta)
+        both = f"suite {self.suite} and --sequence {self.sequence}"
+        found = "neither" if self.suite is None else both
+        raise InputError("run", "", found, "a suite, or --sequence PATH")
+
+
+def with_choices(
+    suite: SuiteFile,
+    *,
+    scenarios: Sequence[str] | None = None,
+    settings: Sequence[str] | None = None,
+    steps: int | None = None,
+) -> SuiteFile:
+    """The suite as it is asked for.
+
+    Parameters
+    ----------
+    scenarios : where the suite does not name all of them, they take the place of its own, by name
+        or TOML file: each closed loop and replay is run with them, from the first step on.
+    settings : at these levels and no other.
+    steps : at most so many of each loop and replay.
+
+    Raises
+    ------
+    InputError : for less than one step.
+    """
+    if steps is not None and steps < 1:
+        raise InputError("--steps", "", steps, "a whole number, 1 or more")
+    asked = list(scenarios or ())
+    tables: dict[str, list[Any]] = {
+        key: list(getattr(suite, key)) for key in SuiteFile.tables_of_cells()
+    }
+    if not set(asked) <= set(suite.scenario_names):
+        tables["closed_loop"] = [
+            _changed(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
+        ]
+        tables["replay"] = [
+            _changed(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+        ]
+    if settings:
+        for key, own in tables.items():
+            tables[key] = [_changed(t, settings=list(settings)) for t in own]
+    if steps is not None:
+        for key in ("closed_loop", "replay", "study"):
+            tables[key] = [_changed(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
+        tables["replay"] = [_changed(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+    chosen = scenarios or settings or steps is not None
+    return _changed(suite, **{k: _once(own) for k, own in tables.items()}) if chosen else suite
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _changed(model: Model, **update: object) -> Model:
+    return model.model_copy(update=update)
+
+
+def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
+    """Tables that have become equal, once."""
+    kept: list[RunsTable] = []
+    for table in tables:
+        if table not in kept:
+            kept.append(table)
+    return kept
+
+
+def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
+    """What the plan cannot answer, said before it runs."""
+    cells = [p.cell for p in planned if p.cell.is_timed]
+    lengths = [cell.steps for cell in cells]
+    if lengths and not supports(max(lengths), 99):
+        return [
+            f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
+            "step is judged in its place"
+        ]
+    return []

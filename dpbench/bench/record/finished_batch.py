@@ -1,0 +1,98 @@
+"""Finished cells on their way from the process that judged them into a result folder.
+
+A record is one cell: an Arrow IPC stream of one batch, the steps, whose schema carries the row of
+the run as JSON. A part is all cells of a batch: a Parquet file with the steps in one row group, of
+the columns of `steps.parquet`, and the columns of `runs.parquet` as JSON in its metadata.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from dpbench.bench.record.step_table import STEPS_SCHEMA, columns_of, concat_runs, encode_steps
+
+Row = dict[str, Any]
+"""A row of `runs.parquet`, by column."""
+RUNS = "runs"
+"""Where the metadata of a part have the columns of its runs."""
+DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
+"""What reading a damaged record or table raises."""
+
+
+def packed(row: Row, steps: pa.RecordBatch) -> bytes:
+    """Return a finished run as the bytes of a record."""
+    batch = steps.replace_schema_metadata({RUNS: json.dumps(row, default=_plain)})
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, batch.schema) as stream:
+        stream.write_batch(batch)
+    record: bytes = sink.getvalue().to_pybytes()
+    return record
+
+
+def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
+    """Return what `packed` made bytes of; one of `DAMAGE` where it is something else."""
+    with pa.ipc.open_stream(record) as stream:
+        batch = stream.read_next_batch()
+    batch.validate(full=True)
+    row: Row = json.loads(batch.schema.metadata[RUNS.encode()])
+    batch = batch.replace_schema_metadata(None)
+    if not batch.schema.equals(STEPS_SCHEMA):
+        raise ValueError("steps with other columns")
+    return row, batch
+
+
+def _plain(value: object) -> object:
+    """Return what JSON has for a number of NumPy, and for one that is missing."""
+    if value is pd.NA:
+        return None
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} in a row")
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPart:
+    """The finished cells of a batch, as the bytes of a part.
+
+    Parameters
+    ----------
+    outcomes : what became of each, by run_id.
+    """
+
+    outcomes: Mapping[str, str]
+    data: bytes
+
+
+def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
+    """Return a part of cells, each a row and steps, by run_id."""
+    steps = concat_runs({name: batch for name, (_, batch) in cells.items()})
+    return part_of([row for row, _ in cells.values()], steps)
+
+
+def part_of(rows: Sequence[Row], steps: pa.Table) -> BatchPart:
+    """Return a part of rows and of the steps of all of them (`FILE_SCHEMA`)."""
+    outcomes = {str(row["run_id"]): str(row["outcome"]) for row in rows}
+    text = json.dumps(columns_of(rows), default=_plain)
+    return BatchPart(outcomes, encode_steps(steps, {RUNS: text}))
+
+
+def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+    """Return the columns of runs in the metadata of a part, all of one length; one of `DAMAGE`
+    where there are none."""
+    try:
+        columns = json.loads((metadata or {})[RUNS.encode()])
+    except RecursionError as error:
+        raise ValueError("runs that are nested too deep") from error
+    values = columns.values() if isinstance(columns, dict) else []
+    sizes = {len(column) if isinstance(column, list) else -1 for column in values}
+    if len(sizes) != 1 or -1 in sizes or "run_id" not in columns:
+        raise ValueError("no columns of runs")
+    found: dict[str, list[Any]] = columns
+    return found

@@ -1,0 +1,78 @@
+"""The QPs at a ship's capability boundary: made for a suite, or written as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.capability.batch import all_points, allocation_sequence
+from dpbench.bench.capability.frontier import Frontier
+from dpbench.bench.capability.study import Capability, capability_of
+from dpbench.bench.capability.table import table_of
+from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
+from dpbench.errors import InputError
+from dpbench.ship.vessel import Vessel
+
+
+def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
+    """The capability of a ship with polygons and the QPs at its edge, certified, in one file.
+
+    Raises
+    ------
+    CertificateError : a QP has neither a certified optimum nor proof that there is none.
+    """
+    frontier = Frontier(vessel, sides)
+    capability = capability_of(frontier)
+    points = all_points(frontier, capability)
+    documents = {"capability": table_of(name, capability, points)}
+    save_sequence(path, allocation_sequence(frontier, points), documents=documents)
+
+
+def capability_in(path: Path) -> dict[str, list[Any]] | None:
+    """Return the table that `make_capability_boundary` left, as `write_capability` takes it; None
+    where it is gone."""
+    try:
+        table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
+    except InputError:
+        return None
+    return table
+
+
+def write_batch(frontier: Frontier, capability: Capability, folder: Path) -> Path:
+    """Write the QPs at the edge of a capability, certified, and a suite that replays them.
+
+    Parameters
+    ----------
+    frontier : with polygons; capability : what it holds.
+
+    Returns
+    -------
+    The suite's file, beside `capability.npz`. It solves each QP once with every solver at its
+    default settings.
+
+    Raises
+    ------
+    CertificateError : a QP has neither a certified optimum nor proof that there is none.
+    """
+    points = all_points(frontier, capability)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
+    suite = folder / "capability.toml"
+    suite.write_text(
+        _SUITE.format(vessel=capability.vessel, sides=frontier.sides), encoding="utf-8"
+    )
+    return suite
+
+
+_SUITE = """\
+title = "Static allocations at the edge of the capability of {vessel}, {sides} sides"
+baseline_law = false
+rounds = 1
+warmup_steps = 20
+cell_limit_s = 20.0
+
+[[recorded]]
+sequence = "capability.npz"
+settings = ["default"]
+"""
+"""Claims do not change from round to round, and a batch has no deadline: one round is enough."""

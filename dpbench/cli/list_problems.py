@@ -1,0 +1,92 @@
+"""Tables of the vessels, scenarios, suites and sequences that ship with the package.
+
+Each kind imports its own work: only the cells of a suite take the planner and its kernels.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Group, RenderableType
+
+from dpbench.cli.terminal import entry, plain, small_table
+from dpbench.report.formats import MISSING
+from dpbench.scenario.problem_files import (
+    SEQUENCES,
+    problem_names,
+    problem_path,
+    read_model,
+    sequence_path,
+)
+
+SEQUENCES_ARE = """
+Each is the exactly solved loop of the scenario it is named after, at the
+horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
+K: QPs; active: share of all limits; samples: which of the loop were kept."""
+
+
+def problem_list(kind: str) -> RenderableType:
+    """Make the table of the problems of a kind, in 80 columns."""
+    makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
+    return (makers | {"sequences": _sequences})[kind]()
+
+
+def _vessels() -> RenderableType:
+    from dpbench.scenario.tables.vessel_file import VesselFile
+
+    entries = []
+    for name in problem_names("vessels"):
+        path = problem_path("vessels", name)
+        vessel = read_model(path, VesselFile).vessel(name, str(path))
+        times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
+        surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
+        reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
+        about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
+        entries.append(entry(name, [vessel.title, *about]))
+    return plain("\n".join(entries))
+
+
+def _scenarios() -> RenderableType:
+    from dpbench.scenario.tables.scenario_file import ScenarioFile
+
+    entries = []
+    for name in problem_names("scenarios"):
+        scenario = read_model(problem_path("scenarios", name), ScenarioFile)
+        controller = scenario.controller
+        horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
+        vessel = Path(scenario.vessel).stem
+        about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
+        entries.append(entry(name, [about, scenario.shows]))
+    return plain("\n".join(entries))
+
+
+def _suites() -> RenderableType:
+    from dpbench.bench.plan.plan import plan
+    from dpbench.bench.plan.suite import load_suite
+
+    table = small_table("name", "cells", "asks")
+    for name in problem_names("suites"):
+        path, suite = load_suite(name)
+        table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
+    return table
+
+
+def _sequences() -> RenderableType:
+    import numpy as np
+
+    from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+
+    table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
+    for name in problem_names(SEQUENCES):
+        recorded = load_recorded(sequence_path(name))
+        sequence, meta = recorded.sequence, recorded.sequence.meta
+        sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
+        base, every = sequence.base, int(meta.get("every", 1))
+        table.add_row(
+            name,
+            *(str(count) for count in (base.n, base.m, len(sequence))),
+            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else MISSING,
+            "constant" if sequence.P is None else "each step's",
+            "each" if every == 1 else f"each {every}th",
+        )
+    return Group(table, plain(SEQUENCES_ARE))

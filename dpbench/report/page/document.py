@@ -1,0 +1,154 @@
+"""What the scripts of the page draw: configurations, places, runs, and what the page opens with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.solver_tables import way_of
+from dpbench.analysis.verdict.fastest import best_of_each, family_of, known_record
+from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts import style
+from dpbench.report.page.data import PageData, columns_of, number
+from dpbench.report.page.live import SECTIONS
+from dpbench.report.page.recommendation import Recommendation, call_text
+from dpbench.report.page.steps import FLAGS
+from dpbench.report.page.terms import Word
+
+
+def page_document(
+    data: PageData, results: Results, recommendation: Recommendation, words: Mapping[int, Word]
+) -> dict[str, Any]:
+    """Everything but the figures; arrays of numbers go into `data.block`.
+
+    Parameters
+    ----------
+    words : on each place, by its number.
+    """
+    cells = list(data.cells())
+    verdicts = {v.configuration: v for v in data.verdicts.all}
+    rows = [_configuration(data, recommendation, c, verdicts.get(c)) for c in data.configurations]
+    document: dict[str, Any] = {
+        "solvers": {c.solver: _solver(c.solver) for c in data.configurations},
+        "configurations": columns_of(rows),
+        "places": _places(data, words),
+        "cells": columns_of(cells),
+        "flags": FLAGS,
+        "row_step": style.ROW_STEP,
+        "demand": {
+            "error_move": data.demand.error_move,
+            "deadline_ms": data.demand.deadline_ms,
+            "p99_ms": data.demand.p99_ms,
+        },
+        "answer": _opening(data, results, recommendation),
+    }
+    for section in SECTIONS:
+        document |= section.data(data, results)
+    return document
+
+
+def _configuration(
+    data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
+) -> dict[str, Any]:
+    """What the page says of a configuration; of one that is not judged only what it is."""
+    times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
+    return {
+        **way_of(c),
+        "outcome": "not judged" if v is None else v.state,
+        "why": "" if v is None else recommendation.why(v),
+        **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
+        "replay_p99": None if v is None else number(v.replay_p99_ns),
+        "raw_p99": None if v is None else number(v.raw_p99_ns),
+        "p99_in": "" if v is None else v.p99_on,
+        "error": None if v is None else number(v.error_move),
+        "failed": None if v is None else v.failed_steps,
+        "timed_at": None if v is None else data.timed_at(v),
+        "call": call_text(c),
+        **_margin(data, c),
+        **_longest(data, c),
+    }
+
+
+def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
+    """Return the speed margin of a configuration, and the steps of windows that bound it: the place
+    of their loop, the sample and the time [ns]."""
+    margin = data.margin(c)
+    if margin is None:
+        return {"margin": None, "bounds": []}
+    loops = {
+        place.name: p
+        for p, place in enumerate(data.places)
+        if (place.mode, place.units, place.study) == ("closed_loop", "scaled", "")
+        and not place.slowdown
+    }
+    bounds = [
+        [loops[step.run.scenario], step.k, number(step.time_ns)]
+        for step in (margin.hardest, margin.p99)
+        if step.run.window_of and step.run.scenario in loops
+    ]
+    return {"margin": number(margin.factor), "bounds": bounds}
+
+
+def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
+    """The largest single timing of a configuration in all its places [ns], and the place."""
+    place, run = data.longest_timing(c) or (None, None)
+    if place is None or run is None:
+        return {"longest": None, "longest_at": None}
+    return {"longest": number(run.raw_max_ns), "longest_at": data.places.index(place)}
+
+
+def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
+    """What the page opens with: two configurations, and the step that the suite is about; and of
+    each solver the configuration that the figures of the answer show."""
+    report = results.suite.get("report", {})
+    named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
+    first, second = (
+        max(0, data.index(c)) if c else None for c in (recommendation.first, recommendation.second)
+    )
+    of_study, place = data.opening or (None, None)
+    return {
+        "first": named[0] if named else first or of_study or 0,
+        "second": second,
+        "best": {
+            v.configuration.solver: data.index(v.configuration)
+            for v in best_of_each(data.verdicts)
+            if data.index(v.configuration) >= 0
+        },
+        "place": place,
+        "k": report.get("step"),
+    }
+
+
+def _places(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
+    """What the page says of each place, from the first run there; the seas of a study whose loops
+    the page has no room for are places without one."""
+    shows = {p: {"shows": word.meaning} for p, word in words.items()}
+    return [
+        _place(data, place, data.first_runs.get(p)) | shows.get(p, {})
+        for p, place in enumerate(data.places)
+    ]
+
+
+def _place(data: PageData, place: Place, run: RunRecord | None) -> dict[str, Any]:
+    said: dict[str, Any] = {"label": place.label, "mode": place.mode, "trial": place.units == "si"}
+    if place.study:
+        said |= {"study": place.study, "point": place.point, "sea": place.replicate}
+    if run is None:
+        return said
+    if not place.study:
+        said |= {"source": run.exported_by, "first": run.first_step}
+    scenario = data.scenario(run) if run.scenario else None
+    if scenario is not None:
+        said["reference"] = [float(x) for x in scenario.reference]
+        said["length_m"] = float(scenario.vessel.length_m)
+    return said
+
+
+def _solver(name: str) -> dict[str, str]:
+    """What is known of a solver; of one that is not installed here, nothing."""
+    known = known_record(name)
+    return {"family": family_of(name), "method": known.method if known else ""}

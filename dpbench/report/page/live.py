@@ -1,0 +1,148 @@
+"""The sections that follow the selection, each registered once in `SECTIONS`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any
+
+import pandas as pd
+
+from dpbench.analysis.suites.study import SMALL_M
+from dpbench.analysis.times.solver_tables import level_table, pair_reaches, tile_table, time_table
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts.accuracy import accuracy
+from dpbench.report.charts.ladder import ladder
+from dpbench.report.charts.matrix import matrix
+from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
+from dpbench.report.charts.steps import pairs, strips
+from dpbench.report.charts.study import behind_there, design, seas_there
+from dpbench.report.page.data import PageData
+from dpbench.report.page.section import Section
+from dpbench.report.page.tables import drawn_tiles, runs_table
+
+Charts = dict[str, Any]
+
+
+def _ladder(data: PageData) -> Charts:
+    timed = time_table(data)
+    if timed.empty:
+        return {}
+    return {"ladder": ladder(timed, data.demand.deadline_ms, data.demand.p99_ms)}
+
+
+def _matrix(data: PageData) -> Charts:
+    tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
+    if tiles.empty:
+        return {}
+    return {"matrix": matrix(tiles), "matrix_narrow": matrix(tiles, stacked=True)}
+
+
+MATRIX = (
+    "A tile is what that place alone says of the demand. Wrong: an answer beyond it, or none. "
+    "Late: right, but too slow. Borderline: a time as near to its limit as rounds differ. Open: "
+    "not all of it was judged. A closed loop counts with the replay of its hardest steps."
+)
+
+
+def _matrix_text(data: PageData) -> str:
+    """What the tiles are; and how many places are left out, where there are too many."""
+    tiles = tile_table(data)
+    there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
+    said = [MATRIX]
+    if any(data.places[p].units == "si" for p in data.judged_places):
+        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
+    if there != drawn:
+        most = f"The {drawn} of {there} places that miss it most"
+        said.append(f"{most}; all are in tables/places.csv.")
+    return " ".join(said)
+
+
+def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
+    """What who gives a solver such a QP has to know: how many are then wrong at their defaults."""
+    unscaled = [str(p) for p in data.judged_places if data.places[p].units == "si"]
+    ran = tiles[tiles["place_id"].isin(unscaled) & tiles["state"].ne("not run")]
+    asked = ran[ran["settings"] == "default"]
+    wrong = asked.loc[asked["state"] == "wrong", "solver"].nunique()
+    return f"; {wrong} of {asked['solver'].nunique()} solvers are wrong there: scale the QP" * (
+        wrong > 0
+    )
+
+
+def _strips(data: PageData) -> Charts:
+    """The steps of one run, which the script fills in."""
+    if not data.runs:
+        return {}
+    forces = pd.DataFrame(columns=["k", "force", "share"])
+    no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
+    charts = {"strips": strips(no_steps, forces, data.demand.error_move)}
+    if _replayed(data):
+        charts["strips_replay"] = strips(no_steps, None, data.demand.error_move)
+    return charts
+
+
+def _pairs(data: PageData) -> Charts:
+    """Two configurations; the axes are named by signals of these names, which the script adds."""
+    return {"pairs": pairs("first", "second")} if len(_replayed(data)) > 1 else {}
+
+
+def _replayed(data: PageData) -> set[int]:
+    """The configurations with a replay, by number."""
+    return {c for c, p in data.runs if data.places[p].mode == "replay"}
+
+
+def _paired(data: PageData, _: Results) -> dict[str, Any]:
+    timed, reach = pair_reaches(data)
+    return {"paired": {"c": timed, "reach": data.block.log(reach)}}
+
+
+def _accuracy(data: PageData) -> Charts:
+    points = level_table(data)
+    return {} if points.empty else {"accuracy": accuracy(points, data.demand.error_move)}
+
+
+def _study(data: PageData) -> Charts:
+    if not (data.studies and data.runs):
+        return {}
+    return {
+        "design_tiles": design(tiles=True),
+        "design_points": design(tiles=False),
+        "behind": behind_there(100 * SMALL_M),
+        "seas": seas_there(),
+    }
+
+
+SECTIONS = (
+    Section("answer", "Answer", _ladder, ("ladder",), always=True),
+    Section("matrix", "Scenarios", _matrix, ("matrix",), text=_matrix_text),
+    Section("one", "One solver", _strips, live=True),
+    Section("two", "Two solvers", _pairs, data=_paired, live=True),
+    Section("accuracy", "Accuracy", _accuracy, ("accuracy",)),
+    Section(
+        "study",
+        "Study",
+        _study,
+        data=lambda data, _: {"studies": data.study_documents},
+        live=True,
+        in_topic=True,
+    ),
+    Section(
+        "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
+    ),
+)
+"""In the order of the page, topics before the last one."""
+
+
+def charts_of(data: PageData) -> dict[str, Charts]:
+    """The figures of each section, by its id."""
+    return {section.id: section.charts(data) for section in SECTIONS}
+
+
+def drawn_figures(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
+    """Those that are on the page before any script has run, by name."""
+    return {
+        name: charts[section.id][name]
+        for section in SECTIONS
+        for name in section.drawn
+        if name in charts.get(section.id, {})
+    }

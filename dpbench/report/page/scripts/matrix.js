@@ -1,0 +1,74 @@
+// The matrix of solvers and places: its tiles, for any way of running the solvers.
+"use strict";
+
+// The tiles of the matrix: as it was written, or all of one way of running the solvers.
+function tiles() {
+  // Copies by name: the figure has numbered its rows by a symbol, and takes a number once.
+  const own = rowsDrawn("matrix").values.map((row) => Object.fromEntries(Object.entries(row)));
+  const wanted = $("matrix-way").value;
+  return !wanted ? own : own.map((row) => {
+    const c = all().find((i) => C().solver[i] === row.solver && way(i) === wanted
+      && C().settings[i] === row.settings) ?? -1;
+    const run = cell(c, Number(row.place_id));
+    return { ...row, way: wanted.replace("-", " "), id: String(c), state: run?.state ?? "not run", error: run?.error ?? null,
+      failed: run?.failed ?? null, detail: run?.why ?? "" };
+  });
+}
+
+async function drawMatrix() {
+  const view = await figureOf("matrix");
+  if (view) await view.data(rowsDrawn("matrix").name, tiles()).runAsync();
+}
+
+// Names of places say what they are to who points at one, wherever among these marks an axis is.
+function explained(node) {
+  if (Array.isArray(node)) return node.map(explained);
+  if (node === null || typeof node !== "object") return node;
+  return Object.fromEntries(Object.entries(node).map(([name, part]) =>
+    [name, name === "axes" ? part.map(withTips) : explained(part)]));
+}
+
+function withTips(axis) {
+  const says = Object.fromEntries(facts.places.filter((place) => place.shows).map((place) => [place.label, place.shows]));
+  const known = `${JSON.stringify(says)}[datum.value]`, labels = axis.encode?.labels;
+  return axis.labels === false ? axis : { ...axis, encode: { ...axis.encode, labels: { ...labels, interactive: true,
+    update: { ...labels?.update, tooltip: { signal: `${known} ? {'in': datum.value, 'is': ${known}} : null` } } } } };
+}
+
+FIGURES.matrix = {
+  sized: (wide, width) => {
+    const table = wide.data.find((d) => d.values), below = facts.charts.matrix_narrow, narrow = width < NARROW;
+    const spec = !narrow ? wide
+      : { ...below, data: below.data.map((d) => (d.values ? { ...d, values: table.values } : d)) };
+    const of = (key) => unique(table.values.map((row) => row[key]));
+    const axes = spec.usermeta.tall ? ["solver", "place"] : ["place", "solver"];
+    const labels = 14 + 7 * Math.max(...of(axes[1]).map((text) => text.length));
+    const levels = narrow ? 1 : of("settings").length, slant = narrow ? 0 : 90;
+    const step = (width - labels - slant - 16 * levels) / (levels * of(axes[0]).length);
+    return withSignals({ ...spec, marks: explained(spec.marks) }, { x_step: Math.max(14, Math.min(46, step)) });
+  },
+  grid: () => {
+    const own = tiles(), of = (key) => unique(own.map((row) => row[key]));
+    const levels = of("settings"), solvers = of("solver"), places = of("place");
+    const below = $("figure-matrix").classList.contains("narrow");
+    const { tall } = facts.charts[below ? "matrix_narrow" : "matrix"].usermeta;
+    const [across, down] = tall ? [solvers, places] : [places, solvers];
+    return own.map((row) => {
+      const level = levels.indexOf(row.settings);
+      const [x, y] = [row.place, row.solver].map((value, i) => [places, solvers][i].indexOf(value));
+      return { c: Number(row.id), p: Number(row.place_id),
+        x: (tall ? y : x) + (below ? 0 : level * across.length),
+        y: (tall ? x : y) + (below ? level * down.length : 0) };
+    }).filter((tile) => tile.c >= 0);
+  },
+};
+SECTIONS.push({
+  id: "matrix", after: ["c", "p"],
+  draw: () => mark("matrix", { id: String(state.c), place_id: String(state.p) }),
+  redraw: () => $("matrix-way").value && drawMatrix(),
+  listen: () => {
+    steerable("matrix");
+    $("matrix-way").append(...unique(all().map(way)).map((w) => new Option(w.replace("-", " "), w)));
+    on("matrix-way", "change", drawMatrix);
+  },
+});

@@ -1,0 +1,140 @@
+"""Consequence analysis: which loss can be held, and which solvers say so in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import isnan
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    LOST,
+    Analysis,
+    BatchAnswers,
+    consequence_analyses,
+)
+from dpbench.report.charts.consequence import shares, spans
+from dpbench.report.formats import counted_list, of_sample_text, plural
+from dpbench.report.page.section import Figure, Topic
+from dpbench.report.table import Table
+
+MOST_ROWS = 8
+"""A longer table is a file alone: the figures show who is right."""
+
+
+def consequence_topic(records: Records) -> Topic | None:
+    """The topic; None of records without such an analysis."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return None
+    tables = [(list(_rows(analysis)), analysis.name) for analysis in analyses]
+    long = max(len(rows) for rows, _ in tables) > MOST_ROWS
+    return Topic(
+        id="consequence",
+        title="Consequence analysis",
+        lines=(
+            *(f"{_when(analysis)} {_who(analysis)}" for analysis in analyses),
+            "Where a loss cannot be held, work during which the ship must not leave its place has "
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
+            + (" The counts of every solver: tables/consequence*.csv." if long else ""),
+        ),
+        figures=tuple(figure for analysis in analyses for figure in _figures(analysis)),
+        tables=tuple(Table.of(rows, name, shown=0 if long else None) for rows, name in tables),
+    )
+
+
+def _figures(analysis: Analysis) -> Iterator[Figure]:
+    """When which loss can be held, and what the best configuration of each solver takes."""
+    yield Figure(
+        f"consequence-{_file_name(analysis)}",
+        spans(analysis.spans, f"Losses held, {analysis.name}"),
+        "Proven for the mean force of each sample: an optimum, or that there is none.",
+    )
+    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    marks = [
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        for a in sorted(timed, key=lambda a: a.largest)
+    ]
+    if marks:
+        yield Figure(
+            f"consequence-time-{_file_name(analysis)}",
+            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            "The best configuration of each solver; the QPs of all groups at one sample.",
+        )
+
+
+def _file_name(analysis: Analysis) -> str:
+    """`thrusters-350-550` of `thrusters[350:550]`."""
+    return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
+
+
+def _when(analysis: Analysis) -> str:
+    """Which losses can be held when, those of the same answer together."""
+    said: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        said.setdefault(_time(of_group), []).append(str(group))
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in said.items()]
+    return f"In {analysis.name} {'; '.join(parts)}."
+
+
+def _time(of_group: pd.DataFrame) -> str:
+    """When the loss of one group can be held."""
+    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
+    if states == [HELD]:
+        return "throughout"
+    if HELD not in states:
+        return "at no time"
+    if states == [HELD, LOST]:
+        return f"until {change_s:.0f} s and not after"
+    if states == [LOST, HELD]:
+        return f"from {change_s:.0f} s on"
+    long_s = of_group["to_s"] - of_group["from_s"]
+    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
+    return f"in {100.0 * share:.0f} % of the time"
+
+
+def _who(analysis: Analysis) -> str:
+    """Who answers all of it rightly, who is the fastest of them, and who misses alarms."""
+    answers = analysis.answers
+    right = [a for a in answers if a.all_right]
+    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
+    timed = [a for a in right if not isnan(a.largest)]
+    if timed:
+        best = min(timed, key=lambda a: a.largest)
+        share, batch = of_sample_text(best.largest), plural(len(analysis.groups), "QP")
+        head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
+    silent = sum(1 for a in answers if a.silent)
+    leave = "leaves" if silent == 1 else "leave"
+    unanswered = f"; {silent} {leave} some without an answer" if silent else ""
+    return f"{head}; {_missed_alarms(answers)}{unanswered}."
+
+
+def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
+    """Whose alarms are missing, the most first."""
+    missed = counted_list((a.name, a.missed) for a in answers if a.missed)
+    return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+
+
+def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:
+    """The best configuration of each solver, and how many of its ways to run are all right."""
+    for solver, best in analysis.best.items():
+        ways = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        yield row_of(best, ways)
+
+
+def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
+    """The cells of a solver by their heads; `ways`: whether each of its configurations is all
+    right."""
+    return {
+        "configuration": best.name,
+        "p99 share": of_sample_text(best.p99),
+        "largest share": of_sample_text(best.largest),
+        "held": f"{best.held} of {best.feasible}",
+        "not held": f"{best.refused} of {best.infeasible}",
+        "missed alarms": str(best.missed),
+        "other untrue claims": str(best.untrue - best.missed),
+        "no answer": str(best.silent),
+        "ways all right": f"{sum(ways)} of {len(ways)}",
+    }

@@ -1,0 +1,495 @@
+"""A solver that remembers the answers of earlier rounds is told from one that solves.
+
+The clock is simulated (but for one whole campaign): solving takes `WORK_NS`, looking an answer up
+`LOOK_UP_NS`, so nothing depends on the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench import load_results, load_scenario, record_sequence, run_campaign
+from dpbench.bench.judge.answer_caching import (
+    FEWEST_VISITS,
+    is_remembered,
+    memory_metrics,
+    with_loop_ratio,
+)
+from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.replay import ReplayRun
+from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
+from dpbench.qp.solution import Solution
+from dpbench.solvers import plugins
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.open import open_workspace
+
+WORK_NS, LOOK_UP_NS, SETUP_NS = 2_000_000, 14_000, 50_000_000
+STEPS, WARM_UP, ROUNDS = 80, 20, 4
+
+
+def remembers(row: Mapping[str, Any]) -> bool:
+    """Whether a row of `runs.parquet` is of remembered answers."""
+    return bool(is_remembered(row["first_visit_ratio"], row["loop_ratio"]))
+
+
+class Clock:
+    """A clock that goes on by a little at each reading, and by what a solver adds."""
+
+    def __init__(self) -> None:
+        self.now = 0
+        self.speed = 1.0
+
+    def __call__(self) -> int:
+        self.now += round(100 * self.speed)
+        return self.now
+
+    def work(self, ns: float) -> None:
+        self.now += round(ns * self.speed)
+
+
+class Honest(Workspace):
+    """Solves each step with an exact solver; the subclasses know some answers already."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__("planted", "native", "reuse")
+        self._clock, self._inner = clock, open_workspace("quadprog", route="native", policy="reuse")
+        self._key, self._answer = b"", None
+        self.known: dict[object, Solution] = {}
+        self.asked: dict[bytes, int] = {}
+        self.index = -1
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        self._clock.work(SETUP_NS)
+        self._inner.setup(qp)
+
+    def update(self, step: QPStep) -> None:
+        self._key = step.q.tobytes() + step.l.tobytes() + step.u.tobytes()
+        self.index += 1
+        self._inner.update(step)
+
+    def reset(self) -> None:
+        self.index = -1
+
+    def look_up(self) -> Solution | None:
+        return None
+
+    def keep(self, solution: Solution) -> None:
+        """Remember an answer."""
+
+    def solve(self) -> None:
+        found = self.look_up()
+        self._clock.work(WORK_NS if found is None else LOOK_UP_NS)
+        if found is None:
+            self._inner.solve()
+            found = self._inner.read()
+            self.keep(found)
+        self._solution = found
+
+    def read(self) -> Solution:
+        return self._solution
+
+
+class ByBytes(Honest):
+    """A dictionary on the bytes of q, l, u."""
+
+    def look_up(self) -> Solution | None:
+        return self.known.get(self._key)
+
+    def keep(self, solution: Solution) -> None:
+        self.known[self._key] = solution
+
+
+class ByIndex(ByBytes):
+    """Counts the steps since the last reset."""
+
+    def look_up(self) -> Solution | None:
+        return self.known.get(self.index)
+
+    def keep(self, solution: Solution) -> None:
+        self.known[self.index] = solution
+
+
+class Patient(ByBytes):
+    """Looks nothing up before it has been asked the same for the third time."""
+
+    def look_up(self) -> Solution | None:
+        self.asked[self._key] = self.asked.get(self._key, 0) + 1
+        return super().look_up() if self.asked[self._key] > 2 else None
+
+
+class AcrossTheWarmUp(ByBytes):
+    """Remembers what it saw in the warm-up and, of the rest, what it saw in round 1."""
+
+    def keep(self, solution: Solution) -> None:
+        if self.index < WARM_UP or len(self.known) >= WARM_UP:
+            super().keep(solution)
+
+
+class HardQuarter(ByBytes):
+    """Every fourth step is hard; it remembers those alone, and solves the others at once."""
+
+    hard = 4
+
+    def solve(self) -> None:
+        found = self.look_up()
+        is_hard = self.index % self.hard == 0
+        self._clock.work(WORK_NS if is_hard and found is None else LOOK_UP_NS)
+        if found is None:
+            self._inner.solve()
+            found = self._inner.read()
+            if is_hard:
+                self.keep(found)
+        self._solution = found
+
+
+class HardQuarterSolved(HardQuarter):
+    """An honest one whose every fourth step is hard."""
+
+    def keep(self, solution: Solution) -> None:
+        pass
+
+
+class AtSetup(Honest):
+    """Solves the one problem it is given at set-up, and knows no other."""
+
+    def setup(self, qp: QuadraticProgram) -> None:
+        super().setup(qp)
+        self._inner.solve()
+        self.known[qp.q.tobytes() + qp.l.tobytes() + qp.u.tobytes()] = self._inner.read()
+
+    def look_up(self) -> Solution | None:
+        return self.known.get(self._key)
+
+
+class Warming(Honest):
+    """An honest one that is slower by a third the first time it sees a step."""
+
+    def look_up(self) -> Solution | None:
+        self.asked[self._key] = self.asked.get(self._key, 0) + 1
+        if self.asked[self._key] == 1:
+            self._clock.work(WORK_NS / 3)
+        return None
+
+
+@pytest.fixture(scope="module")
+def sequence() -> QPSequence:
+    return record_sequence(load_scenario("paper").first(STEPS))
+
+
+def replayed(
+    make: Callable[[Clock], Workspace],
+    sequence: QPSequence,
+    *,
+    attempts: tuple[int, ...] = (1,) * (ROUNDS + 1),
+    warm_up: int = WARM_UP,
+    slow_round: int = -1,
+) -> RawLog:
+    """The log of a replay on a simulated clock, each round tried so often."""
+    clock = Clock()
+    base, steps = sequence.base, len(sequence)
+    log = RawLog.in_memory(replay_layout(len(attempts), steps, base.n, base.m))
+    made, formulated = in_replay("condensed_box", sequence)
+    timed_solver = TimedSolver(make(clock), formulated, clock)
+    configuration = ReplayRun(
+        made, timed_solver, log, warmup_steps=warm_up, limit_ns=2**62, clock=clock
+    )
+    for r, times in enumerate(attempts):
+        for attempt in range(times):
+            clock.speed = 5.0 if r == slow_round and attempt == 0 else 1.0
+            assert configuration.round(r)
+    return log
+
+
+def ratio(log: RawLog) -> float:
+    return memory_metrics(log)["first_visit_ratio"]
+
+
+def row(first: float = np.nan, loop: float = np.nan) -> dict[str, float]:
+    return {"first_visit_ratio": first, "loop_ratio": loop}
+
+
+@pytest.mark.parametrize("make", [ByBytes, ByIndex, Patient, AcrossTheWarmUp])
+@pytest.mark.parametrize("again", [1, 2], ids=["once", "round 1 run again"])
+def test_whoever_remembers_is_marked(make: type[Honest], again: int, sequence: QPSequence) -> None:
+    """By bytes, by the number of the step, from round 2 on, across the warm-up: always seen.
+
+    A disturbed round 1 that is run again does not hide the first visits.
+    """
+    attempts = (1, again, *(1,) * (ROUNDS - 1))
+    found = ratio(replayed(make, sequence, attempts=attempts))
+    assert found == pytest.approx(WORK_NS / LOOK_UP_NS, rel=0.05)
+    assert remembers(row(found))
+
+
+@pytest.mark.parametrize(("make", "marked"), [(HardQuarter, True), (HardQuarterSolved, False)])
+def test_a_memory_of_hard_steps_is_marked(
+    make: type[Honest], marked: bool, sequence: QPSequence
+) -> None:
+    """The median of first visits over later ones is 1 for both; the share of slow first visits is
+    a quarter of the steps for the memory alone, less the switches of this process."""
+    log = replayed(make, sequence)
+    log.counters[:] = 0.0
+    found = memory_metrics(log)
+    assert found["first_visit_ratio"] == pytest.approx(1.0, rel=0.01)
+    assert found["first_visit_excess"] == pytest.approx(0.25 if marked else 0.0)
+    excess = found["first_visit_excess"]
+    assert is_remembered(found["first_visit_ratio"], np.nan, excess) is marked
+
+
+def test_switches_and_later_stalls_explain_slow_first_visits(sequence: QPSequence) -> None:
+    """Fifteen slow first visits of 60: five switches leave ten, two stalls of a later round six."""
+    log = replayed(HardQuarter, sequence)
+    log.counters[:] = 0.0
+    log.counters[1, 2] = 5.0
+    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(10 / 60)
+    log.times[3, [30, 31], 3] = 9 * WORK_NS
+    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(6 / 60)
+
+
+@pytest.mark.parametrize("make", [Honest, AtSetup, Warming])
+def test_whoever_solves_is_not(make: type[Honest], sequence: QPSequence) -> None:
+    """A long set-up, its one problem known, or a third of warming is no memory."""
+    found = ratio(replayed(make, sequence))
+    assert found == pytest.approx(4 / 3 if make is Warming else 1.0, rel=0.01)
+    assert not remembers(row(found))
+
+
+def test_a_machine_that_was_slow_at_first_marks_nobody(sequence: QPSequence) -> None:
+    """First visits five times slower, as the reference kernel was around them, are no memory."""
+    for attempts in ((1,) * 5, (1, 2, 1, 1, 1)):
+        log = replayed(Honest, sequence, attempts=attempts, slow_round=1)
+        assert log.first_ns[WARM_UP + 5] > 4 * WORK_NS
+        assert ratio(log) == pytest.approx(1.0, rel=0.05)
+    remembered = replayed(ByBytes, sequence, attempts=(1, 2, 1, 1, 1), slow_round=1)
+    assert remembers(row(ratio(remembered)))
+
+
+def test_the_first_visit_is_kept_when_a_round_is_run_again(sequence: QPSequence) -> None:
+    """Each step has the time of its first visit; those that were first seen without a record say
+    so."""
+    log = replayed(ByBytes, sequence, attempts=(2, 3, 1, 1, 1))
+    assert (log.first_ns[:3] == -1).all()
+    assert (log.first_ns[3:] >= WORK_NS).all()
+    assert (log.times[1, :, 3] < WORK_NS).all(), "the last attempt is all memory"
+
+
+@pytest.mark.parametrize(("make", "marked"), [(ByBytes, True), (Honest, False)])
+def test_a_sequence_within_the_warm_up_is_judged_by_it(
+    make: type[Honest], marked: bool, sequence: QPSequence
+) -> None:
+    """Where no step is left for round 1, the warm-up holds the first visits; two rounds suffice."""
+    found = ratio(replayed(make, sequence, attempts=(1, 1), warm_up=STEPS))
+    assert remembers(row(found)) is marked
+
+
+def test_too_few_first_visits_say_nothing(sequence: QPSequence) -> None:
+    """Nothing is said of a handful of steps, nor of a replay that visited each step once."""
+    few = FEWEST_VISITS + 2  # three of them are first visited without a record
+    log = replayed(ByBytes, record_sequence(load_scenario("paper").first(few)), warm_up=few)
+    assert np.isnan(ratio(log)) and not remembers(row(ratio(log)))
+    assert np.isnan(ratio(replayed(ByBytes, sequence, attempts=(1, 1), warm_up=0)))
+
+
+def test_a_table_from_disk_is_told_by_the_loop_it_steers() -> None:
+    """Who knows the replay beforehand still has to solve when it steers: its loop is far slower.
+
+    The longest loop of the same configuration and scenario counts, without a failure and on a
+    computer that is not slowed.
+    """
+    configuration = {
+        "scenario": "paper",
+        "route": "native",
+        "policy": "fresh",
+        "settings": "default",
+    }
+    configuration |= {"formulation": "condensed_box", "units": "scaled", "slowdown": 0.0}
+    configuration |= {"outcome": "finished", "failed_steps": 0}
+    loop = configuration | {"mode": "closed_loop"}
+    runs = pd.DataFrame(
+        [
+            loop | {"solver": "table", "steps_done": 400, "raw_p50_ns": 2e6},
+            loop | {"solver": "table", "steps_done": 100, "raw_p50_ns": 1.0},
+            loop | {"solver": "table", "steps_done": 900, "raw_p50_ns": 1.0, "slowdown": 9.0},
+            loop | {"solver": "honest", "steps_done": 400, "raw_p50_ns": 3e4},
+            loop | {"solver": "lost", "steps_done": 400, "raw_p50_ns": 9e9, "failed_steps": 1},
+            loop | {"solver": "lost", "steps_done": 9, "raw_p50_ns": 9e9, "outcome": "timed_out"},
+            configuration
+            | {"mode": "replay", "solver": "table", "steps_done": 400, "raw_p50_ns": 14e3},
+            configuration
+            | {"mode": "replay", "solver": "honest", "steps_done": 400, "raw_p50_ns": 2e4},
+            configuration
+            | {"mode": "replay", "solver": "alone", "steps_done": 400, "raw_p50_ns": 2e4},
+            configuration
+            | {"mode": "replay", "solver": "lost", "steps_done": 400, "raw_p50_ns": 2e4},
+        ]
+    ).assign(first_visit_ratio=1.0)
+    found = with_loop_ratio(runs)
+    assert found["loop_ratio"][:6].isna().all()
+    table, honest, alone, lost = (found.iloc[i].to_dict() for i in range(6, 10))
+    assert table["loop_ratio"] == pytest.approx(2e6 / 14e3) and remembers(table)
+    assert honest["loop_ratio"] == pytest.approx(1.5) and not remembers(honest)
+    tails = runs.assign(raw_p90_ns=[2e6, 1.0, 1.0, 3e4, 9e9, 9e9, 1e5, 2e4, 2e4, 2e4])
+    table, honest = (with_loop_ratio(tails).iloc[i].to_dict() for i in (6, 7))
+    assert table["loop_tail_ratio"] == pytest.approx(20.0)
+    assert is_remembered(1.0, 1.0, np.nan, table["loop_tail_ratio"])
+    assert not is_remembered(1.0, 1.0, np.nan, honest["loop_tail_ratio"])
+    for unknown in (alone, lost):
+        assert np.isnan(unknown["loop_ratio"]) and not remembers(unknown)
+
+
+PLUGIN = """
+import time
+import numpy as np
+import quadprog
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.function import opener
+from dpbench.solvers.plugins import solver_record
+
+KNOWN = {}
+
+
+def solve(qp):
+    key = qp.q.tobytes() + qp.l.tobytes() + qp.u.tobytes()
+    if key not in KNOWN:
+        time.sleep(0.002)
+        C = np.vstack((np.eye(qp.n), -np.eye(qp.n), qp.A, -qp.A))
+        b = np.concatenate((qp.lb, -qp.ub, qp.l, -qp.u))
+        z, _, _, _, y, _ = quadprog.solve_qp(qp.P, -qp.q, C.T.copy(), b)
+        n, m = qp.n, qp.m
+        box, rows = y[n : 2 * n] - y[:n], y[2 * n + m :] - y[2 * n : 2 * n + m]
+        KNOWN[key] = Solution(Status.SOLVED, z, rows, box)
+    return KNOWN[key]
+
+
+RECORD = solver_record("table", method="none", module="quadprog", distribution="quadprog")
+open = opener("table", solve)
+"""
+SUITE = """
+title = "Memory"
+solvers = ["table", "quadprog"]
+baseline_law = false
+cell_limit_s = 60.0  # what a loaded machine keeps
+rounds = 3
+warmup_steps = 10
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = 60
+routes = ["native"]
+policies = ["fresh"]
+
+[[replay]]
+scenario = "paper"
+steps = 60
+routes = ["native"]
+policies = ["fresh"]
+"""
+
+
+@pytest.mark.alone  # Real times are compared.
+def test_a_campaign_marks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both witnesses reach `runs.parquet`: 2 ms of sleep against a dictionary, a hundredfold gap.
+
+    Its answers are all true, so nothing else betrays it.
+    """
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    (tmp_path / "table.py").write_text(PLUGIN, encoding="utf-8")
+    (tmp_path / "memory.toml").write_text(SUITE, encoding="utf-8")
+    out = run_campaign(
+        tmp_path / "memory.toml", tmp_path / "out", solver_module=tmp_path / "table.py"
+    )
+    runs = load_results(out).runs.set_index(["solver", "mode"])
+    assert (runs["outcome"] == "finished").all()
+    table = runs.loc[("table", "replay")]
+    assert table["true_share"] == 1.0 and remembers(table)
+    assert table["first_visit_ratio"] > 10.0 and table["loop_ratio"] > 10.0
+    assert np.isfinite(runs.loc[("quadprog", "replay"), ["first_visit_ratio", "loop_ratio"]]).all()
+    assert not any(remembers(row) for _, row in runs.xs("closed_loop", level="mode").iterrows())
+
+
+def made_log(
+    first: list[int], later: list[list[int]], *, warm_up: int = 0, attempts: int = 1
+) -> RawLog:
+    """First visits of each step, and the time of each step in the rounds from the warm-up on."""
+    log = RawLog.in_memory(replay_layout(len(later), len(first), 2, 1))
+    log.times[:] = -1
+    log.first_ns[:] = first
+    log.attempts[:] = 1
+    log.attempts[1:2] = attempts
+    for r, times in enumerate(later):
+        log.times[r, : len(times), 3] = times
+        log.done[r] = len(times)
+    log.done[0] = warm_up
+    return log
+
+
+def test_the_ratio_is_the_median_over_steps_of_first_to_shortest_later_visit() -> None:
+    """20 steps: first visits of 40 + k against 8 and 10 later, so 49.5 / 8 in the middle."""
+    first = [40 + k for k in range(20)]
+    log = made_log(first, [[], [999] * 20, [10] * 20, [8] * 20])
+    assert ratio(log) == pytest.approx(49.5 / 8)
+    # Visits that took no time the clock shows count as 1 ns.
+    assert ratio(made_log(first, [[], [999] * 20, [0] * 20])) == pytest.approx(49.5)
+
+
+def test_a_round_that_was_run_again_is_a_later_visit_itself() -> None:
+    """Its record is that of the last attempt; run once, it is the first visit itself."""
+    rounds = [[], [4] * 20, [10] * 20]
+    assert ratio(made_log([40] * 20, rounds)) == 4.0
+    assert ratio(made_log([40] * 20, rounds, attempts=2)) == 10.0
+
+
+def test_nothing_is_said_of_fewer_than_twenty_pairs() -> None:
+    """Neither of 19 steps, nor of 20 of which one has no first visit or no later one."""
+    assert ratio(made_log([40] * 20, [[], [4] * 20, [10] * 20])) == 4.0
+    assert np.isnan(ratio(made_log([40] * 19, [[], [4] * 19, [10] * 19])))
+    assert np.isnan(ratio(made_log([40] * 19 + [-1], [[], [4] * 20, [10] * 20])))
+    assert np.isnan(ratio(made_log([40] * 19 + [0], [[], [4] * 20, [10] * 20])))
+    assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20, [10] * 19])))
+    assert np.isnan(ratio(made_log([40] * 20, [[], [4] * 20])))
+    assert ratio(made_log([1] * 20, [[], [4] * 20, [1] * 20])) == 1.0
+    assert ratio(made_log([1] + [40] * 20, [[], [4] * 21, [10] * 21])) == 4.0
+
+
+def test_first_visits_are_those_beyond_the_warm_up_where_there_are_enough() -> None:
+    """The warm-up took 60 ns a step and the first round 40: of 20 steps each the latter counts, of
+    21 and 19 the warm-up, whose later visits start in round 1."""
+    rounds = [[], [10] * 40, [20] * 40]
+    assert ratio(made_log([60] * 20 + [40] * 20, rounds, warm_up=20)) == 2.0
+    assert ratio(made_log([60] * 21 + [40] * 19, rounds, warm_up=21)) == 6.0
+
+
+def test_a_slow_machine_around_the_first_visits_is_divided_out() -> None:
+    """The reference kernel took 6 ns around them and 2 ns at its best, so a third is left."""
+    log = made_log([40] * 20, [[], [4] * 20, [10] * 20])
+    log.reference_kernel_ns[:] = [[0.0, 0.0], [9.0, 9.0], [2.0, 3.0]]
+    assert ratio(log) == 4.0, "not timed around the first visits"
+    log.first_reference_kernel_ns[:] = [0.0, 6.0, 0.0]
+    assert ratio(log) == pytest.approx(4.0 / 3.0)
+    log.first_reference_kernel_ns[1] = 1.0
+    assert ratio(log) == 4.0, "faster than at its best"
+    log.reference_kernel_ns[:] = 0.0
+    assert ratio(log) == 4.0, "never timed"
+
+
+def test_the_bars_of_a_memory() -> None:
+    """Three times for first visits and ten for loops may be warming and caches, but no more."""
+    assert not is_remembered(3.0, np.nan) and is_remembered(3.01, np.nan)
+    assert not is_remembered(np.nan, 10.0) and is_remembered(np.nan, 10.01)
+    assert not is_remembered(np.nan, np.nan)
+
+
+def test_runs_without_a_time_have_no_loop_ratio() -> None:
+    """Neither column nor ratio: every run is unknown, and no other column changes."""
+    runs = pd.DataFrame({"mode": ["replay", "closed_loop"], "raw_p50_ns": [1.0, 9.0]})
+    found = with_loop_ratio(runs)
+    assert found["loop_ratio"].isna().all()
+    pd.testing.assert_frame_equal(found[list(runs)], runs)
