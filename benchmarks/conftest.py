@@ -26,7 +26,7 @@ def scenario() -> Scenario:
 @pytest.fixture(scope="session")
 def problem(scenario: Scenario) -> ControlProblem:
     """Its control problem: 30/5, nine states, three inputs."""
-    return scenario.control_problem()
+    return scenario.problem
 
 
 @pytest.fixture(scope="session")

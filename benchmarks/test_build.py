@@ -16,6 +16,7 @@ from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.sequences.recording import with_horizons
 from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.kernels import hessian_blocks
@@ -155,16 +156,15 @@ def test_bare_product(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 @pytest.fixture(scope="module", params=[(30, 5), (60, 10)], ids=["30/5", "60/10"])
 def loss(request: pytest.FixtureRequest) -> Scenario:
     """A ship that loses thrusters on the way."""
-    N_p, N_c = request.param
-    return replace(load_scenario("thrusters_loss"), N_p=N_p, N_c=N_c)
+    return with_horizons(load_scenario("thrusters_loss"), *request.param)
 
 
 @pytest.mark.benchmark(group="emit one step with thrusters")
 @pytest.mark.parametrize("behind", [-1, 1], ids=["intact", "lost"])
 def test_emit_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario, behind: int) -> None:
     """θ → q, l, u before and after the fault."""
-    builder, fault = QPBuilder(loss), min(k for k, _, _ in loss.faults)
-    x, f = np.full(9, 0.1), np.full(builder.n_f, 5e3)
+    builder, fault = QPBuilder(loss), min(k for k, _ in loss.controller.changes)
+    x, f = np.full(9, 0.1), np.full(loss.controller.n_f, 5e3)
     benchmark(builder.emit, fault + behind, x, f)
 
 

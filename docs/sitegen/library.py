@@ -29,7 +29,7 @@ def _scenarios() -> str:
     rows = []
     for name in problem_names("scenarios"):
         run = load_scenario(name)
-        tuning = f"{run.tuning} {run.N_p}/{run.N_c}"
+        tuning = run.controller.label
         rows.append((code(name), run.vessel.id, tuning, str(run.steps), prose(run.shows)))
     return table(("scenario", "vessel", "tuning", "steps", "what it shows"), rows)
 

@@ -241,14 +241,14 @@ def design_record(design: Design) -> DesignRecord:
 
 def linear_record(scenario: Scenario) -> DesignRecord:
     """What is known of a scenario's controller without a trial: the roots of paper eq. 35."""
-    problem = scenario.control_problem()
+    problem = scenario.problem
     roots = closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
         vessel=scenario.vessel.id,
         controller=scenario.name,
-        tuning=scenario.tuning,
-        N_p=scenario.N_p,
-        N_c=scenario.N_c,
+        tuning=scenario.controller.tuning,
+        N_p=problem.N_p,
+        N_c=problem.N_c,
         eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
         held={},
     )
@@ -266,7 +266,7 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
     still = scenario_of(scenario.files | {"scenario": trial})
     # In still water port mirrors starboard, where ship and model do.
-    mirrored = has_mirror_symmetry(still.vessel) and still.psi0_rad == 0.0
+    mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0
     sides = SIDES[:1] if mirrored else SIDES
     return find_bracket(lambda offset_m: holds(still, offset_m, sides))
 

@@ -135,7 +135,7 @@ def _held_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[st
 
         bracket = held_in_still_water(scenario, holds)
         progress.advance(_TRIALS - trials, "")
-        controller = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
+        controller = scenario.controller.label
         # Offsets are at full size; a model ship's own are said.
         scale = Froude(float(scenario.files["vessel"]["model_scale"])).length
         lines.append(f"tuning {controller:<14} {_bracket_text(bracket, scale)}")

@@ -25,11 +25,11 @@ _ELSEWHERE = frozenset({1, 4, 5, 6, 7, 8, 9})
 """Fields of a column chunk about bytes outside of its row group."""
 
 Spec = dict[int, Any]
-"""Fields of a struct that are decoded, each with those of the structs in it; all others are only
-found."""
-_COLUMN_SPEC: Spec = {_CHUNK_OFFSET: {}, _CHUNK: {_SIZE: {}, _DATA: {}, _DICTIONARY: {}}}
-_GROUP_SPEC: Spec = {_COLUMNS: _COLUMN_SPEC, _GROUP_ROWS: {}, _GROUP_OFFSET: {}}
-_FOOTER_SPEC: Spec = {_NUM_ROWS: {}, _GROUPS: _GROUP_SPEC}
+"""Fields of a struct that are decoded: `int`, a `Spec` of the struct in it, or a list of one for a
+list of structs. All others are only found."""
+_COLUMN_SPEC: Spec = {_CHUNK_OFFSET: int, _CHUNK: {_SIZE: int, _DATA: int, _DICTIONARY: int}}
+_GROUP_SPEC: Spec = {_COLUMNS: [_COLUMN_SPEC], _GROUP_ROWS: int, _GROUP_OFFSET: int}
+_FOOTER_SPEC: Spec = {_NUM_ROWS: int, _GROUPS: [_GROUP_SPEC]}
 
 
 class Field(NamedTuple):
@@ -141,12 +141,12 @@ def _struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
         value: Any = None
         if inner is None:
             at = _end_of(data, at, kind)
-        elif kind in _INTEGERS:
+        elif kind in _INTEGERS and inner is int:
             value, at = _signed(data, at)
-        elif kind == _STRUCT:
+        elif kind == _STRUCT and isinstance(inner, dict):
             value, at = _struct(data, at, inner)
-        elif kind == _LIST:
-            value, at = _structs(data, at, inner)
+        elif kind == _LIST and isinstance(inner, list):
+            value, at = _structs(data, at, inner[0])
         else:
             raise ValueError(f"a footer with field {number} of type {kind}")
         fields[number] = Field(head, begin, at, kind, value)
@@ -243,6 +243,10 @@ class RowGroupWriter:
         if self._footer is not None and footer.raw(_SCHEMA) != self._footer.raw(_SCHEMA):
             raise ValueError("a row group of another schema")
         group = footer.groups[index]
+        rows = group[1][_GROUP_ROWS].value
+        if rows == 0:
+            # Arrow writes one without bytes for a table without rows.
+            return
         first, end = _extent(group[1])
         if not 0 < first <= end <= source.seek(0, 2):
             raise ValueError("a row group outside of its file")
@@ -256,7 +260,7 @@ class RowGroupWriter:
             first += len(block)
         self._footer = self._footer or footer
         self._groups.append(moved)
-        self.rows += group[1][_GROUP_ROWS].value
+        self.rows += rows
 
     def close(self, empty: Footer) -> None:
         """Write the footer; nothing the second time.

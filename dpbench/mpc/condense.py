@@ -21,7 +21,7 @@ One recursion G_t = C A^t (never a matrix power) gives every block of F and of �
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -33,7 +33,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
-from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import shaped
 
 UnitSystem = Literal["scaled", "si"]
@@ -54,6 +54,12 @@ class ControlProblem:
     thrusters : the rows G whose limits u_min, u_max are, where u are forces of thrusters.
     W : (n_u, n_u) weight of u itself over the planned moves; None for none, as in the paper.
     terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
+
+    Attributes
+    ----------
+    G : (r, n_u) the rows that the amplitude limits hold for.
+    row_max : (r,) the change of G u by a full rate-limit step along each row: the unit of the row.
+    limits : those of G u while nothing has failed.
     """
 
     model: StateSpace
@@ -67,6 +73,9 @@ class ControlProblem:
     terminal: Terminal = "none"
     thrusters: ThrusterRows | None = None
     W: Matrix | None = None
+    G: Matrix = field(init=False)
+    row_max: Vector = field(init=False)
+    limits: Limits = field(init=False)
 
     def __post_init__(self) -> None:
         n_u, n_y = self.model.n_u, self.model.n_y
@@ -78,6 +87,13 @@ class ControlProblem:
         for name, shape in shapes.items():
             array = shaped("ControlProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
+        rows = self.thrusters
+        G, row_max = np.eye(n_u), self.du_max
+        limits = Limits(self.u_min, self.u_max)
+        if rows is not None:
+            G, row_max, limits = rows.G, rows.units(self.du_max), rows.intact
+        for name, value in {"G": G, "row_max": row_max, "limits": limits}.items():
+            object.__setattr__(self, name, value)
         if not 1 <= self.N_c <= self.N_p:
             horizons = f"N_c = {self.N_c}, N_p = {self.N_p}"
             raise InputError("ControlProblem", "N_c", horizons, "1 ≤ N_c ≤ N_p")
@@ -86,15 +102,10 @@ class ControlProblem:
                 "ControlProblem", "terminal", repr(self.terminal), '"none" or "riccati"'
             )
 
-    @cached_property
-    def G(self) -> Matrix:
-        """(r, n_u) the rows that the amplitude limits hold for."""
-        return np.eye(self.model.n_u) if self.thrusters is None else self.thrusters.G
-
-    @cached_property
-    def row_max(self) -> Vector:
-        """(r,) the change of G u by a full rate-limit step along each row: the unit of the row."""
-        return self.du_max if self.thrusters is None else self.thrusters.units(self.du_max)
+    @property
+    def horizons(self) -> dict[str, int]:
+        """N_p and N_c by name."""
+        return {"N_p": self.N_p, "N_c": self.N_c}
 
     def turned(self, turn_rad: float) -> ControlProblem:
         """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""

@@ -25,7 +25,7 @@ from dpbench.mpc.kernels import reachable_limits
 from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, instants, output_blocks
 from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble
-from dpbench.mpc.thruster_rows import LimitRampDown
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
 Amplitude = Literal["reachable", "hard", "soft"]
@@ -167,7 +167,7 @@ class CondensedQP:
         y_ref: Vector,
         u_prev: Vector,
         *,
-        limits: tuple[Vector, Vector] | None = None,
+        limits: Limits | None = None,
     ) -> QPStep:
         """The QP of one step (eq. 20-24), in memory of its own.
 
@@ -176,10 +176,10 @@ class CondensedQP:
         x : (n_x,) augmented state [Δν, Δη, y], SI; heading unwrapped.
         y_ref : (n_y,) reference, or (N_p, n_y) for preview; heading within π of y's.
         u_prev : (n_u,) force applied in the last sample [N, N, N·m], or those of thrusters [N].
-        limits : (u_min, u_max), each (r,), in force from now on instead of the vessel's. Under
-            the policy `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because
-            a limit that drops below u_prev by more than one rate step leaves no feasible point.
-            A thruster whose limits drop may retreat straight to nothing (`LimitRampDown`).
+        limits : those in force from now on instead of the vessel's, (r,) each. Under the policy
+            `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because a limit that
+            drops below u_prev by more than one rate step leaves no feasible point. A thruster whose
+            limits drop may retreat straight to nothing (`LimitRampDown`).
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -191,7 +191,7 @@ class CondensedQP:
         if preview:
             self._preview(step, y_ref)
         if limits is not None:
-            self._limit(step, u_prev, *limits)
+            self._limit(step, u_prev, limits)
         return step
 
     def _preview(self, step: QPStep, y_ref: Matrix) -> None:
@@ -215,17 +215,17 @@ class CondensedQP:
         """F_y (N_c·n_u, N_p·n_y) in SI units."""
         return self._matrices.F_y
 
-    def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
-        """Amplitude limits other than the vessel's, as the policy says."""
+    def _limit(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+        """Write amplitude limits other than the vessel's, as the policy says."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
-            self._ramp_down.write(u_prev, u_min, u_max, step.l, step.u)
+            self._ramp_down.write(u_prev, limits, step.l, step.u)
         elif self.amplitude == "reachable":
-            limits = u_prev, u_min, u_max, problem.row_max, unit
-            reachable_limits(*limits, step.l, step.u, problem.N_c)
+            of_rows = limits.low, limits.high, problem.row_max, unit
+            reachable_limits(u_prev, *of_rows, step.l, step.u, problem.N_c)
         else:
             before = u_prev if problem.thrusters is None else problem.G @ u_prev
-            high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
+            low, high = ((side - before) / problem.row_max for side in (limits.low, limits.high))
             step.l.reshape(self._row_shape)[self._lower] = low * unit
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 

@@ -25,6 +25,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP, Form
 from dpbench.mpc.model import HEADING
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep
 
 _POINTS = 5
@@ -187,7 +188,7 @@ class RelinearisedQP(CondensedQP):
         y_ref: Vector,
         u_prev: Vector,
         *,
-        limits: tuple[Vector, Vector] | None = None,
+        limits: Limits | None = None,
     ) -> QPStep:
         """The QP of one step as `CondensedQP.emit`, with the matrices that came with its heading.
 

@@ -34,7 +34,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.terminal import riccati
-from dpbench.mpc.thruster_rows import LimitRampDown
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
@@ -184,7 +184,7 @@ class StagedQP:
         y_ref: Vector,
         u_prev: Vector,
         *,
-        limits: tuple[Vector, Vector] | None = None,
+        limits: Limits | None = None,
     ) -> QPStep:
         """The QP of one step, in memory of its own; x, y_ref, u_prev, limits as `CondensedQP.emit`.
 
@@ -199,13 +199,13 @@ class StagedQP:
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
         q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
         if limits is not None:
-            u_min, u_max = self._in_force(before, *limits)
+            u_min, u_max = self._in_force(before, limits)
             self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
         return QPStep(q, low, high)
 
-    def _in_force(self, before: Vector, u_min: Vector, u_max: Vector) -> tuple[Matrix, Matrix]:
+    def _in_force(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
         """The limits of the rows from these forces on, in own units, as the policy says."""
-        low, high = u_min / self._row_unit, u_max / self._row_unit
+        low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
             return low, high
         if self._ramp_down is None:
@@ -214,7 +214,7 @@ class StagedQP:
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._ramp_down.limits(force, u_min, u_max)
+        low, high = self._ramp_down.limits(force, limits)
         return along + low * unit, along + high * unit
 
     def _preview(self, y_ref: Matrix) -> Vector:

@@ -14,13 +14,26 @@ other side is T, which no force exceeds. Every other thruster has one row of its
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)
+"""Of limits that no thruster stands behind."""
+
+
+class Limits(NamedTuple):
+    """Limits low, high (r,) of a force or of rows of thrusters, and which are lost (p,)."""
+
+    low: Vector
+    high: Vector
+    lost: Flags = NOTHING_LOST
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +45,10 @@ class ThrusterRows:
     G : (r, n_f) rows, each of unit length on the entries of one thruster.
     low, high : (r,) limits [N]; zero lies within.
     thruster : (r,) the number of the thruster a row belongs to; entry : (n_f,) that of an entry.
+
+    Attributes
+    ----------
+    intact : the limits with no thruster lost.
     """
 
     G: Matrix
@@ -39,6 +56,11 @@ class ThrusterRows:
     high: Vector
     thruster: Indices
     entry: Indices
+    intact: Limits = field(init=False)
+
+    def __post_init__(self) -> None:
+        intact = Limits(self.low, self.high, np.zeros(self.entry[-1] + 1, dtype=np.bool_))
+        object.__setattr__(self, "intact", intact)
 
     def units(self, df_max: Vector) -> Vector:
         """(r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
@@ -51,8 +73,8 @@ class ThrusterRows:
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
-    def without(self, lost: set[int]) -> tuple[Vector, Vector]:
-        """Limits (r,) each in which the thrusters of these numbers give nothing.
+    def without(self, lost: Collection[int]) -> Limits:
+        """The limits in which the thrusters of these numbers are lost and give nothing.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
         each other: all of them would say the same many times over.
@@ -63,7 +85,7 @@ class ThrusterRows:
             sides = np.count_nonzero(self.low[rows] < 0.0)
             zero = rows[np.array([0, sides // 2])[: np.count_nonzero(self.entry == i)]]
             low[zero] = high[zero] = 0.0
-        return low, high
+        return Limits(low, high, np.isin(np.arange(self.entry[-1] + 1), list(lost)))
 
 
 def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
@@ -114,8 +136,7 @@ class LimitRampDown:
 
     The straight way λ_i f lies within them at every move and keeps to the rate of each entry. The
     polygon of a lost thruster shrinks as a whole, with room inside until it is nothing: rows that
-    end at zero alone would let its force go round their corners for ever. A thruster is lost where
-    its limits in force leave it nothing, which its rows that are zero on both sides say.
+    end at zero alone would let its force go round their corners for ever.
 
     Parameters
     ----------
@@ -146,15 +167,15 @@ class LimitRampDown:
         table[G_FROM:, :r] = rows.G.T
         self._table: Matrix = table
 
-    def limits(self, f: Vector, low: Vector, high: Vector) -> tuple[Matrix, Matrix]:
-        """What low and high (r,) are at each move, less G f, in units of rows: (N_c, r) each."""
+    def limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+        """Return low and high at each move, less G f, in units of rows: (N_c, r) each."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
-        self.write(f, low, high, l.reshape(-1), u.reshape(-1))
+        self.write(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
-    def write(self, f: Vector, low: Vector, high: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
-        """The same into the first r of the rows of each move in l and u (m,)."""
-        _write_retreating_limits(self._table, f, low, high, l, u, self._shape[0])
+    def write(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+        """Write them into the first r of the rows of each move in l and u (m,)."""
+        _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
 # Rows of the table of `_write_retreating_limits`; its columns are rows k, entries or thrusters.
@@ -162,7 +183,7 @@ LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(
 
 
 @njit(cache=True, error_model="numpy")
-def _write_retreating_limits(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
     """Write each move's limits into l and u, tightened gradually where f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
@@ -173,7 +194,7 @@ def _write_retreating_limits(table, f, low, high, l, u, N_c):  # type: ignore[no
     t, first = 0, 0
     while first < r:
         end = int(table[ROW_FROM, t + 1])
-        gauge, lost = _state_of(table, first, end, low, high)
+        gauge = _gauge(table, first, end)
         steps = 0.0
         for j in range(int(table[ENTRY_FROM, t]), int(table[ENTRY_FROM, t + 1])):
             steps += (f[j] / table[DU_MAX, j]) ** 2
@@ -181,12 +202,12 @@ def _write_retreating_limits(table, f, low, high, l, u, N_c):  # type: ignore[no
         for i in range(N_c):
             left = steps - RAMP_DOWN_SHARE * (i + 1)
             share = left / steps if left > NEGLIGIBLE_STEPS else 0.0
-            shrunk = lost and share > 0.0
+            shrunk = lost[t] and share > 0.0
             for k in range(first, end):
                 along, least, most = table[ALONG, k], low[k], high[k]
                 if shrunk:
                     least, most = share * gauge * table[LOW, k], share * gauge * table[HIGH, k]
-                elif not lost:
+                elif not lost[t]:
                     least, most = min(least, share * along), max(most, share * along)
                 unit, factor = table[ROW_MAX, k], table[FACTOR, k]
                 l[i * stride + k] = (least - along) / unit * factor
@@ -195,14 +216,13 @@ def _write_retreating_limits(table, f, low, high, l, u, N_c):  # type: ignore[no
 
 
 @njit(cache=True, error_model="numpy")
-def _state_of(table, first, end, low, high):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """The share of a thruster's intact limits that holds its force, and whether it is lost."""
-    gauge, lost = 0.0, False
+def _gauge(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Return the share of a thruster's intact limits that holds its force."""
+    gauge = 0.0
     for k in range(first, end):
         along = table[ALONG, k]
         # A sector's edge has zero for a limit: no share of it tells where f is.
         limit = table[HIGH if along > 0.0 else LOW, k]
         if limit != 0.0:
             gauge = max(gauge, along / limit)
-        lost |= low[k] == high[k]
-    return gauge, lost
+    return gauge

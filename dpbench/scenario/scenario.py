@@ -12,26 +12,12 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.mpc.condense import ControlProblem, Terminal, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP, Form
-from dpbench.mpc.model import StateSpace, prediction_model
-from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.condense import ControlProblem, UnitSystem
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, reference_table
-from dpbench.mpc.relinearised import RelinearisedQP
-from dpbench.mpc.staged_qp import StagedQP
-from dpbench.mpc.thruster_rows import ThrusterRows
-from dpbench.mpc.thrusters.attainable_set import AttainableSet
-from dpbench.mpc.thrusters.azimuth_turning import TurningQP
-from dpbench.scenario.commanded_thrusters import (
-    Allocation,
-    ThrusterControl,
-    actuators_of,
-    allocation_of,
-    attainable_of,
-    faults_of,
-    limit_tables_of,
-    thruster_control,
-)
+from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.kinds import CONTROLLERS
+from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
@@ -40,7 +26,7 @@ from dpbench.scenario.problem_files import (
     problem_path,
     read_model,
 )
-from dpbench.scenario.tables.scenario_file import ControllerTable, ScenarioFile
+from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.environment import Environment
@@ -66,16 +52,7 @@ class Scenario:
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
-    N_p, N_c, Q, R, psi0_rad : horizons, weights in SI, of outputs (3, 3) and of moves (n_u, n_u),
-        heading of the model.
-    steered : thrusters, whose forces are then u (n_u,); None where u is the force (3,).
-    attainable : the set that limits the force as a whole; None for a limit an axis.
-    allocation : of a cascade, how thrusters make the force u; None else.
-    relinearised : whether the model is linearised anew at each step.
-    amplitude, outputs, terminal : policy of the amplitude limits, bounds on position and speed,
-        cost at the end of the horizon.
-    faults : (sample, least, most) from which on these limits of the rows of u (r,) hold, in order
-        of time.
+    controller : what steers the ship: its QPs, its limits, what it commands.
     files : the documents it was made from, from which `scenario_of` makes it again.
     """
 
@@ -94,25 +71,12 @@ class Scenario:
     reference: Vector
     smoothed: ReferenceFilter | None
     preview: bool
-    N_p: int
-    N_c: int
-    Q: Matrix
-    R: Matrix
-    psi0_rad: float
-    steered: ThrusterControl | None
-    attainable: AttainableSet | None
-    allocation: Allocation | None
-    relinearised: bool
-    amplitude: Amplitude
-    outputs: OutputBounds | None
-    terminal: Terminal
-    faults: tuple[tuple[int, Vector, Vector], ...]
-    tuning: str
+    controller: Controller
     files: ScenarioDocuments
 
     def __repr__(self) -> str:
         return (
-            f"<Scenario {self.name}: {self.vessel.id}, {self._controller}, "
+            f"<Scenario {self.name}: {self.vessel.id}, {self.controller.description}, "
             f"{self.steps} steps of {self.sample_s:.4g} s>"
         )
 
@@ -121,26 +85,20 @@ class Scenario:
         fields = {
             "shows": self.shows,
             "vessel": f"{self.vessel.title} ({self.vessel.id})",
-            "controller": self._controller,
+            "controller": self.controller.description,
             "length": f"{self.steps} steps of {self.sample_s:.4g} s",
             "start": numbers_text(self.start, units),
             "reference": numbers_text(self.reference, units),
             "most in one step": numbers_text(self.force_step_max, ("N", "N", "N·m")),
             "state": self.estimation.kind,
-            "amplitude limits": self.amplitude,
+            "amplitude limits": self.controller.amplitude,
         }
         return fields_html(f"{self.name}: {self.title}", fields)
 
     @property
-    def _controller(self) -> str:
-        steers = "" if self.steered is None else ", thrusters"
-        allocates = "" if self.allocation is None else ", cascade"
-        return f"tuning {self.tuning} {self.N_p}/{self.N_c}{steers}{allocates}"
-
-    @property
-    def commanded(self) -> ThrusterControl | None:
-        """The thrusters that are told what to give, planned or allocated; None where none are."""
-        return self.steered if self.allocation is None else self.allocation.control
+    def problem(self) -> ControlProblem:
+        """What the controller wants and may do: model, horizons, weights, limits in SI."""
+        return self.controller.problem
 
     @property
     def force_step_max(self) -> Vector:
@@ -148,55 +106,13 @@ class Scenario:
         return self.vessel.step_max(self.sample_s)
 
     @property
-    def du_max(self) -> Vector:
-        """Δu_max (n_u,) of what is steered: of the force, or of the entries of f [N]."""
-        if self.steered is None:
-            return self.force_step_max
-        return self.steered.thrusters.step_max(self.sample_s)
-
-    def forces(self, u: Matrix) -> Matrix:
-        """The forces on the ship τ (..., 3) of what is steered, u (..., n_u)."""
-        if self.steered is None:
-            return u
-        forces: Matrix = u @ self.steered.thrusters.T_e.T
-        return forces
-
-    @property
     def first_state(self) -> Vector:
         """(6,) [u, v, r, n, e, ψ] at the first sample."""
         return np.concatenate([self.velocity, self.start])
 
-    def control_problem(self) -> ControlProblem:
-        """What the controller is given: the model at ψ0, horizons, weights, limits."""
-        ship, W = self.vessel, None
-        model = prediction_model(ship.M, ship.D, self.psi0_rad, self.sample_s)
-        if self.steered is not None:
-            model = StateSpace(model.A, model.B @ self.steered.thrusters.T_e, model.C)
-            W = self.steered.W
-        horizons = self.N_p, self.N_c, self.Q, self.R
-        limits = *self._own_limits, self.du_max
-        return ControlProblem(model, *horizons, *limits, self.terminal, self._rows, W)
-
-    @property
-    def _rows(self) -> ThrusterRows | None:
-        """The rows of u that are limited; None where each axis of it is."""
-        if self.attainable is not None:
-            return self.attainable.rows()
-        return None if self.steered is None else self.steered.rows
-
-    @property
-    def _own_limits(self) -> tuple[Vector, Vector]:
-        """Limits of u, or of its rows, while nothing has failed."""
-        rows, ship = self._rows, self.vessel
-        return (ship.tau_min, ship.tau_max) if rows is None else (rows.low, rows.high)
-
     def reference_table(self, samples: int) -> Matrix:
         """The reference at each sample (samples, 3), heading unwrapped from the start's."""
         return reference_table(self.start, self.reference, samples, self.sample_s, self.smoothed)
-
-    def limit_tables(self, samples: int) -> tuple[Matrix, Matrix]:
-        """The limits in force at each sample, of τ (samples, 3) or of the thrusters' rows."""
-        return limit_tables_of(self._own_limits, self.faults, samples)
 
     def estimator(self) -> Estimator:
         """A new estimator, which starts in the state the run starts in."""
@@ -262,7 +178,7 @@ def scenario_of(
     ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
     vessel = ship_file.vessel(files["vessel_name"], vessel_where)
     scale = Froude(ship_file.model_scale)
-    controller, plant = spec.controller, spec.plant
+    plant = spec.plant
     sample_s = spec.sample_s * scale.time
     if not 1 <= spec.steps <= MAX_STEPS:
         allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
@@ -271,10 +187,8 @@ def scenario_of(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.environment(scale)
-    control = thruster_control(controller, vessel, sample_s, where)
-    steered = control if controller.kind == "thrusters" else None
-    allocation = allocation_of(spec, control, vessel, sample_s, where)
-    attainable = attainable_of(controller, vessel, where)
+    made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
+    controller = CONTROLLERS[spec.controller.kind](made_from)
     # Said here, before anything runs: wind and drift need to know the hull.
     environment.load_coefficients(vessel)
     return Scenario(
@@ -283,7 +197,7 @@ def scenario_of(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=actuators_of(spec, control, sample_s, scale),
+        actuators=_actuators(spec, controller, sample_s, scale),
         environment=environment,
         estimation=estimator_choice(spec, scale, where),
         steps=spec.steps,
@@ -293,20 +207,7 @@ def scenario_of(
         reference=spec.reference.pose() * scale.pose,
         smoothed=spec.reference.smoothed(scale),
         preview=spec.reference.preview,
-        N_p=controller.prediction_horizon,
-        N_c=controller.control_horizon,
-        Q=np.diag(np.array(controller.output_weight) / scale.pose**2),
-        R=np.diag(_move_weight(controller, vessel, sample_s, scale)),
-        psi0_rad=float(np.radians(controller.model_heading_deg)),
-        steered=steered,
-        attainable=attainable,
-        allocation=allocation,
-        relinearised=controller.linearisation == "each_step",
-        amplitude=controller.amplitude,
-        outputs=_outputs(controller, scale, sample_s),
-        terminal=controller.terminal,
-        faults=faults_of(spec, vessel, steered or attainable, where),
-        tuning=controller.tuning,
+        controller=controller,
         files=files,
     )
 
@@ -328,63 +229,21 @@ def _made(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
-def _move_weight(
-    controller: ControllerTable, vessel: Vessel, sample_s: float, scale: Froude
-) -> Vector:
-    if controller.kind == "thrusters" and controller.thrusters is not None:
-        assert vessel.thrusters is not None, "steered thrusters are known by now"
-        steps = vessel.thrusters.step_max(sample_s)
-        relative: Vector = controller.thrusters.move_weight_relative / steps**2
-        return relative
-    if controller.move_weight_relative is not None:
-        return np.array(controller.move_weight_relative) / vessel.step_max(sample_s) ** 2
-    assert controller.move_weight is not None, "the table demands one of the two"
-    return np.array(controller.move_weight) / scale.force**2
-
-
-def _outputs(controller: ControllerTable, scale: Froude, sample_s: float) -> OutputBounds | None:
-    table = controller.outputs
-    if table is None:
+def _actuators(
+    spec: ScenarioFile, controller: Controller, sample_s: float, scale: Froude
+) -> Actuators | CommandedThrusters | None:
+    """Return what is between commands and the hull; None for nothing."""
+    plant = spec.plant
+    loss = np.array(plant.thrust_loss_percent)
+    behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
+    if controller.commanded is not None:
+        lag_s = plant.thruster_lag_s * scale.time
+        return CommandedThrusters(controller.commanded.thrusters, sample_s, lag_s, behind)
+    if not loss.any() and plant.delay_samples == 0:
         return None
-    return OutputBounds(
-        sample_s,
-        None if table.radius_m is None else table.radius_m * scale.length,
-        None if table.speed_mps is None else table.speed_mps * scale.time,
-    )
+    return behind
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
     """The builder of the scenario's QPs, in scaled units or SI."""
-    problem = scenario.control_problem()
-    form: Form = {"units": units, "amplitude": scenario.amplitude, "outputs": scenario.outputs}
-    if scenario.relinearised:
-        return RelinearisedQP(problem, psi0_rad=scenario.psi0_rad, **form)
-    turning = None if scenario.steered is None else scenario.steered.turning
-    if turning is not None:
-        return TurningQP(problem, turning, **form)
-    return CondensedQP(problem, **form)
-
-
-def no_stages(scenario: Scenario) -> str:
-    """Why the QPs of a scenario have no formulation with the states kept; "" where they have."""
-    if scenario.relinearised:
-        return "sparse: the model is linearised anew at each step, and its stages with it"
-    if scenario.steered is not None and scenario.steered.turning is not None:
-        return "sparse: the directions of azimuths are other ones at each step, and so are rows"
-    if scenario.amplitude == "soft" or scenario.outputs is not None:
-        return "sparse: soft limits and output bounds are layers on the condensed problem"
-    return ""
-
-
-def no_delay(scenario: Scenario) -> str:
-    """Why late answers on a slow computer are not simulated in a scenario; "" where they are."""
-    return "" if scenario.allocation is None else "slowdown: not of a cascade, whose QPs are two"
-
-
-def keep_states(scenario: Scenario, *, units: UnitSystem = "scaled") -> StagedQP:
-    """The builder of the same QPs as `condense`, in stages; InputError where there are none."""
-    why = no_stages(scenario)
-    if why or scenario.amplitude == "soft":
-        allowed = "a scenario without layers and with one model"
-        raise InputError(f"scenario {scenario.name}", "formulation", why, allowed)
-    return StagedQP(scenario.control_problem(), units=units, amplitude=scenario.amplitude)
+    return scenario.controller.build_qp(units)

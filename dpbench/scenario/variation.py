@@ -21,7 +21,7 @@ from dpbench.ship.plant import SUBSTEPS
 VESSEL = "vessel"
 SEED = "environment.seed"
 """Any whole number makes a sea of its own, and changes nothing else."""
-_LABELS = {"name": "", "title": "", "shows": "", "tuning": "", "files": {}}
+_LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 
 def varied(
@@ -117,4 +117,5 @@ def _behaviour(scenario: Scenario, steps: int) -> bytes:
     estimation = replace(scenario.estimation, where="")
     fields = vars(scenario) | _LABELS | {"environment": None, "estimation": estimation}
     fields |= {"vessel": ships[0], "true_ship": ships[1], "steps": steps}
+    fields["controller"] = replace(scenario.controller, tuning="")
     return pickle.dumps((weather, fields))

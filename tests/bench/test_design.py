@@ -210,7 +210,7 @@ def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
     (design,) = plan_designs(table, tmp_path)
     assert (design.controller, design.vessel) == ("coarse", "mine")
     scenario = scenario_of(design.files)
-    assert (scenario.sample_s, scenario.steps, scenario.tuning) == (0.6, 1000, "robust")
+    assert (scenario.sample_s, scenario.steps, scenario.controller.tuning) == (0.6, 1000, "robust")
 
 
 def _edited(edit: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:

@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.soft_limits import Penalty
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram, Refresh
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify
@@ -40,11 +41,11 @@ def blocks(builder: CondensedQP, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return rows[:, :n_u], rows[:, n_u:]
 
 
-def lost_thruster(ship: Any) -> tuple[Any, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def lost_thruster(ship: Any) -> tuple[Any, np.ndarray, Limits]:
     """A robust controller, full sway force applied, and the limits that are left."""
     problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
     u_prev = np.array([0.0, problem.u_max[1], 0.2 * problem.u_max[2]])
-    return problem, u_prev, (problem.u_min * LOST, problem.u_max * LOST)
+    return problem, u_prev, Limits(problem.u_min * LOST, problem.u_max * LOST)
 
 
 def test_where_hard_limits_are_feasible_the_soft_plan_is_the_hard_one(case: Any) -> None:
@@ -55,7 +56,7 @@ def test_where_hard_limits_are_feasible_the_soft_plan_is_the_hard_one(case: Any)
     free = np.linalg.solve(hard.P, hard.emit(case.x, case.y_ref, case.u_prev).q)
     span = (case.problem.u_max - case.problem.u_min) / case.problem.du_max
     near = min(1.0, 0.25 * float(span.min()) / np.abs(free).max())
-    narrow = (0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
+    narrow = Limits(0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
     for u_prev, limits in ((case.u_prev, None), (0.4 * case.u_prev, narrow)):
         theta = (near * case.x, near * case.y_ref, u_prev)
         expected = optimum(hard.problem(hard.emit(*theta, limits=limits)))
@@ -124,9 +125,9 @@ def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least(ship
 def test_soft_rows_are_the_forces_within_their_limits_and_slacks(ship: Any) -> None:
     """A plan meets the rows exactly when every force of it, added up move by move, is within the
     limits in force widened by the slack of its axis."""
-    problem, u_prev, (u_min, u_max) = lost_thruster(ship)
+    problem, u_prev, (u_min, u_max, _) = lost_thruster(ship)
     builder = CondensedQP(problem, amplitude="soft")
-    step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=(u_min, u_max))
+    step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=Limits(u_min, u_max))
     rng = np.random.default_rng(3)
     met = 0
     for _ in range(300):
@@ -148,10 +149,10 @@ def test_new_limits_stand_exactly_in_hard_and_soft_rows(
     ship: Any, amplitude: Any, units: Any
 ) -> None:
     """Every plan row asks for the new limits less the force applied, however far that is."""
-    problem, u_prev, (u_min, u_max) = lost_thruster(ship)
+    problem, u_prev, (u_min, u_max, _) = lost_thruster(ship)
     builder = CondensedQP(problem, amplitude=amplitude, units=units)
     theta = (np.full(9, 0.01), np.zeros(3), u_prev)
-    step = builder.emit(*theta, limits=(u_min, u_max))
+    step = builder.emit(*theta, limits=Limits(u_min, u_max))
     unit = problem.du_max if units == "scaled" else np.ones(3)
     upper = step.u.reshape(10, -1)[:, :3] * unit
     lower = step.l.reshape(10, -1)[:, -3:] * unit
@@ -161,7 +162,7 @@ def test_new_limits_stand_exactly_in_hard_and_soft_rows(
         assert np.isneginf(step.l.reshape(10, 6)[:, :3]).all()
         assert np.isposinf(step.u.reshape(10, 6)[:, 3:]).all()
     plain = builder.emit(*theta)
-    same = builder.emit(*theta, limits=(problem.u_min, problem.u_max))
+    same = builder.emit(*theta, limits=Limits(problem.u_min, problem.u_max))
     for name in ("q", "l", "u"):
         # Differences of forces, compared at the size of the limits.
         np.testing.assert_allclose(

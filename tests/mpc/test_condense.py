@@ -201,9 +201,8 @@ def test_control_problem_names_what_does_not_fit(
 ) -> None:
     """A wrong horizon or shape is refused by name, with what was found and what is allowed."""
     good = ship("supply_fs99")
-    arguments = {name: getattr(good, name) for name in good.__dataclass_fields__}
     with pytest.raises(error) as caught:
-        ControlProblem(**{**arguments, **change})
+        replace(good, **change)
     assert caught.value.key == key
     assert caught.value.allowed
 

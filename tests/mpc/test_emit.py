@@ -11,6 +11,7 @@ from dpbench.mpc.condense import summed_moves
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
@@ -78,7 +79,7 @@ def test_a_step_stays_valid_and_leaves_its_inputs_alone(case: Any) -> None:
     """Later steps, previewed or limited, write neither into an earlier step nor into arguments."""
     builder = CondensedQP(case.problem)
     arguments = (case.x.copy(), case.preview(), case.u_prev.copy())
-    limits = (0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
+    limits = Limits(0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
     saved = [a.copy() for a in (*arguments, *limits)]
     matrices = [a.copy() for a in (builder.P, builder.A, builder.lb, builder.ub, builder.Z)]
     first = builder.emit(*arguments, limits=limits)
@@ -139,7 +140,7 @@ def test_reachable_limits_follow_the_rate_row_by_row(case: Any, units: Any, fact
     problem = case.problem
     u_min, u_max = factor * problem.u_min, factor * problem.u_max
     builder = CondensedQP(problem, units=units)
-    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=(u_min, u_max))
+    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=Limits(u_min, u_max))
     plain = builder.emit(case.x, case.y_ref, case.u_prev)
     np.testing.assert_array_equal(step.q, plain.q)
     low, high = builder.moves(step.l), builder.moves(step.u)
@@ -161,7 +162,7 @@ def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
     problem = case.problem
     u_min, u_max = 0.3 * problem.u_min, 0.3 * problem.u_max
     builder = CondensedQP(problem)
-    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=(u_min, u_max))
+    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=Limits(u_min, u_max))
     force, moves = case.u_prev, []
     for _ in range(problem.N_c):
         target = np.clip(force, u_min, u_max)
@@ -180,7 +181,7 @@ def test_the_hard_problem_after_a_lost_thruster_has_no_feasible_point(
     the reachable limits lead down to it one rate step a row."""
     problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
     share = np.array([1.0, 0.45, 0.6])
-    limits = (problem.u_min * share, problem.u_max * share)
+    limits = Limits(problem.u_min * share, problem.u_max * share)
     u_prev = np.array([0.0, problem.u_max[1], 0.0])
     builder = CondensedQP(problem)
     step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=limits)

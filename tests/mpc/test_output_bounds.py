@@ -11,6 +11,7 @@ import pytest
 from dpbench.errors import ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.referee.referee import Referee
 
 SAMPLE_S = 0.3
@@ -38,7 +39,7 @@ def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
     builder = CondensedQP(problem, units=units, amplitude=amplitude, outputs=bounds)
     x = np.array([0.01, 0.02, 0.0, 0.02, -0.01, 0.0, 3.0, -2.0, 0.1])
     theta = (x, np.zeros(3), 0.9 * problem.u_max)
-    limits = (0.4 * problem.u_min, 0.4 * problem.u_max)
+    limits = Limits(0.4 * problem.u_min, 0.4 * problem.u_max)
     place = np.arange(builder.n).reshape(5, -1)
     moves, sides = place[:, :3].reshape(-1), place[:, 3:].reshape(-1)
     free = builder.problem(builder.emit(*theta))

@@ -14,6 +14,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import Refresh
 
 RELATIVE = 1e-11
@@ -64,7 +65,7 @@ def test_a_relinearised_step_is_the_step_condensed_anew_at_its_heading(
     builder = RelinearisedQP(here, psi0_rad=psi0_rad, units=units, **options)
     fresh = CondensedQP(there, units=units, penalty=builder.penalty, **options)
     x, preview, u_prev = point(psi_rad)
-    limits = (0.4 * here.u_min, 0.5 * here.u_max)
+    limits = Limits(0.4 * here.u_min, 0.5 * here.u_max)
     for y_ref in (preview[0], preview):
         for of_now in (None, limits):
             found = builder.problem(builder.emit(x, y_ref, u_prev, limits=of_now))

@@ -16,6 +16,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.referee.referee import certify
@@ -163,10 +164,10 @@ def test_an_independent_sparse_solver_finds_the_same_moves(case: Any) -> None:
         assert distance(*builders, case.x, y_ref, case.u_prev) <= SAME
 
 
-def lost(problem: Any) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def lost(problem: Any) -> tuple[np.ndarray, Limits]:
     """A force near its limits, and limits that fall far below it at once."""
     u_prev = np.array([0.3, 1.0, -0.9]) * np.where([1, 1, 0], problem.u_max, -problem.u_min)
-    return u_prev, (0.4 * problem.u_min, 0.5 * problem.u_max)
+    return u_prev, Limits(0.4 * problem.u_min, 0.5 * problem.u_max)
 
 
 @pytest.mark.parametrize("what", ["held", "preview", "limits", "terminal", "everything"])
@@ -184,7 +185,8 @@ def test_the_referee_certifies_the_same_moves(ship: Any, point: Any, what: str) 
         # its own limit, where the multipliers of a plan would not be unique.
         u_prev, _ = lost(problem)
         half = 0.5 * problem.du_max
-        limits = np.maximum(problem.u_min, -np.abs(u_prev) + half), np.abs(u_prev) - half
+        low = np.maximum(problem.u_min, -np.abs(u_prev) + half)
+        limits = Limits(low, np.abs(u_prev) - half)
     condensed, staged = both(problem)
     qp = condensed.problem(condensed.emit(case.x, y_ref, u_prev, limits=limits))
     expected = certify(qp)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows, thruster_rows
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 T = 2e5
@@ -58,7 +58,7 @@ def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
     np.testing.assert_allclose(rows.low[-2:], [-8e4, -1.2e5])
     np.testing.assert_allclose(rows.high[-2:], [8e4, 3e5])
     assert np.isfinite(rows.low).all() and np.isfinite(rows.high).all()
-    low, high = rows.without({0, 2})
+    low, high, _ = rows.without({0, 2})
     assert high[4] == 8e4
     f = np.random.default_rng(0).uniform(-1e5, 1e5, (1000, 4))
     f[:200, [0, 1, 3]] = 0.0
@@ -98,7 +98,7 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
-    least, most = LimitRampDown(rows, du_max, row_max, N_c).limits(f, *rows.without(lost))
+    least, most = LimitRampDown(rows, du_max, row_max, N_c).limits(f, rows.without(lost))
     before = f
     for i in range(N_c):
         now = f.copy()
@@ -130,11 +130,13 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
     rows, du_max = thruster_rows(thrusters, 8), thrusters.step_max(1.0)
     row_max, f = rows.units(du_max), T * np.array(parts)
     r, factor = len(row_max), np.linspace(0.5, 2.0, len(row_max))
-    gone_low, high = rows.without(lost)
-    low, high = left * gone_low, left * high
+    limits = rows.without(lost)
+    low, high = left * limits.low, left * limits.high
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
-    LimitRampDown(rows, du_max, row_max, N_c, factor=factor).write(f, low, high, l, u)
+    LimitRampDown(rows, du_max, row_max, N_c, factor=factor).write(
+        f, Limits(low, high, limits.lost), l, u
+    )
     for i in range(N_c):
         for k in range(r):
             number = rows.thruster[k]
@@ -146,7 +148,7 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
                 for j in np.flatnonzero(own)
             )
             share = 1.0 - 0.9 * (i + 1) / steps if steps > 0.9 * (i + 1) + 0.05 else 0.0
-            if not (low == high)[own].any():
+            if number not in lost:
                 least, most = min(low[k], share * along[k]), max(high[k], share * along[k])
             elif share > 0.0:
                 least, most = share * gauge * rows.low[k], share * gauge * rows.high[k]

@@ -153,7 +153,7 @@ def test_scenarios_are_those_of_the_table(name: str) -> None:
 def test_tunings_are_those_of_the_table(name: str) -> None:
     """`paper` is 30/5 with R in SI, `robust` 60/10 with R = 0.1·diag(1/Δu_max²); ψ0 = 0."""
     row, scenario = SCENARIOS[name], load_scenario(name)
-    control = scenario.control_problem()
+    control = scenario.problem
     du_max = np.array(FULL_LIMITS[2])
     robust = row["R"] is None
     assert (control.N_p, control.N_c) == ((60, 10) if robust else (30, 5))
@@ -163,10 +163,10 @@ def test_tunings_are_those_of_the_table(name: str) -> None:
     np.testing.assert_array_equal(control.u_min, FULL_LIMITS[0])
     np.testing.assert_array_equal(control.u_max, FULL_LIMITS[1])
     np.testing.assert_allclose(control.du_max, du_max, rtol=1e-14)
-    np.testing.assert_array_equal(scenario.du_max, control.du_max)
+    np.testing.assert_array_equal(scenario.problem.du_max, control.du_max)
     # ψ0 = 0: the model turns body into compass axes by nothing.
-    assert scenario.psi0_rad == 0.0
-    assert scenario.tuning.startswith("robust" if robust else "paper")
+    assert scenario.controller.psi0_rad == 0.0
+    assert scenario.controller.tuning.startswith("robust" if robust else "paper")
 
 
 def test_condensed_sizes_are_those_of_the_paper() -> None:

@@ -47,9 +47,9 @@ def test_degrees_and_kilonewtons_in_files_are_radians_and_newtons_in_the_run(
     assert load_scenario(path).start[2] == pytest.approx(np.pi / 2, rel=1e-15)
     path = write("scenarios", "paper", "[controller]", "[controller]\nmodel_heading_deg = -45.0")
     scenario = load_scenario(path)
-    assert scenario.psi0_rad == pytest.approx(-np.pi / 4, rel=1e-15)
+    assert scenario.controller.psi0_rad == pytest.approx(-np.pi / 4, rel=1e-15)
     # One sample of surge speed carries the ship north and west alike.
-    A = scenario.control_problem().model.A
+    A = scenario.problem.model.A
     assert A[3, 0] == pytest.approx(-A[4, 0], rel=1e-12)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
@@ -26,6 +27,7 @@ from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of
 from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
 from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.controllers.controller import MetricGroup
 from dpbench.scenario.scenario import Scenario, scenario_once
 
 Columns = dict[str, NDArray[Any]]
@@ -55,6 +57,28 @@ AT_ONCE = 128
 """Answers that are judged at once, at most: some megabytes of them where n is 500."""
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
+
+
+@dataclass(frozen=True, eq=False)
+class AppliedForces:
+    """What metrics of a controller are made from: its run, the builder of its QPs, τ among the
+    columns, and the forces of thrusters (K, n_f)."""
+
+    scenario: Scenario
+    builder: QPBuilder
+    columns: Columns
+    thrust: Matrix
+
+
+METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
+    "axis_limits": lambda of: axis_limit_metrics(of.scenario, of.columns["tau"], of.builder.limits),
+    "joint_limits": lambda of: joint_limit_metrics(
+        of.scenario, of.columns["tau"], of.builder.limits
+    ),
+    "thrusters": lambda of: thruster_metrics(of.scenario, of.thrust, of.builder.thruster_limits),
+    "delivery": lambda of: {"undelivered_share": float(of.columns["undelivered_share"].max())},
+}
+"""The metrics of each group that a controller may name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,20 +200,17 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         "clipped": log.flags[:done, 2].astype(bool),
         "state": log.state[: done + 1].copy(),
         "tau": log.tau[:done].copy(),
-        "command": scenario.forces(log.command[:done]).copy(),
+        "command": scenario.controller.force(log.command[:done]).copy(),
     }
     if not done:
         return Evaluated(columns, {})
     thrust = log.thrust[:done]
     columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
     columns |= _backup(cell, scenario, log)
-    limits, state = (scaled.u_min, scaled.u_max), columns["state"]
-    run = columns["tau"] if scenario.steered is None else thrust
-    metrics = control_metrics(scenario, state, run, scaled.reference, limits, exact)
-    if scenario.allocation is not None:
-        limits = scaled.f_min, scaled.f_max
-        metrics["undelivered_share"] = float(columns["undelivered_share"].max())
-    metrics |= thruster_metrics(scenario, thrust, limits)
+    applied = scenario.controller.applied(columns["tau"], thrust)
+    metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
+    for group in scenario.controller.metric_groups:
+        metrics |= METRICS[group](AppliedForces(scenario, scaled, columns, thrust))
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
@@ -219,7 +240,7 @@ def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvalua
 def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
     """The columns of a cascade: how much of the demand is not delivered, and those of its second
     QPs, `OF_SECOND` before their names."""
-    if scenario.allocation is None:
+    if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
     missing = np.abs(log.demand[:done] - log.tau[:done])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.record.schema import FORCES, POSE_AXES
+from dpbench.bench.record.schema import POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.layout import AXES, POSE, VELOCITY
+from dpbench.ship.layout import POSE, VELOCITY
 
 AT_LIMIT = 1e-6
 """In units of the limit's own step: closer than this counts as being at the limit."""
@@ -19,28 +19,26 @@ def control_metrics(
     state: Matrix,
     u: Matrix,
     reference: Matrix,
-    limits: tuple[Matrix, Matrix],
     exact: ExactLoop,
 ) -> dict[str, float]:
-    """Metrics of a run of K steps.
+    """Metrics of a run of K steps, whatever the controller commands.
 
     Parameters
     ----------
     state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; u : (K, n_u) what was applied, force
         or forces of thrusters.
-    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : those of u in force in
-        each sample, at least (K, r).
+    reference : at least (K + 1, 3) [n, e, ψ] at the sample times.
     exact : the exactly solved loop, at least as long.
     """
-    K, tau = len(u), scenario.forces(u)
+    K, controller = len(u), scenario.controller
+    tau = controller.force(u)
+    exact_u = controller.applied(exact.tau, exact.thrust)[:K]
     dt = scenario.sample_s
     error = state[:K, POSE] - reference[:K]
     north, east, turn = error.T
     radius = np.hypot(north, east)
     heading = np.degrees(np.abs(turn))
     t = np.arange(K, dtype=np.float64) * dt
-    before = np.vstack([np.zeros(AXES), tau[:-1]])
-    change = tau - before
     metrics = {
         "r_rms_m": _rms(radius),
         "r_95_m": float(np.quantile(radius, 0.95)),
@@ -53,23 +51,20 @@ def control_metrics(
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
         "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _cost(
-            scenario, exact.state[: K + 1], _applied(scenario, exact)[:K], reference
-        ),
+        "exact_cost": _cost(scenario, exact.state[: K + 1], exact_u, reference),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
         | _of_axes(t, error, dt)
-        | _effort(scenario, state[:K, VELOCITY], tau, change)
-        | ({} if scenario.commanded else _limit_shares(scenario, tau, before, limits))
+        | _effort(scenario, state[:K, VELOCITY], tau)
         | _deviation(state[:K], tau, exact)
     )
 
 
-def _applied(scenario: Scenario, exact: ExactLoop) -> Matrix:
-    """What the exactly solved loop applied: forces of thrusters where they are steered."""
-    return exact.tau if scenario.steered is None else exact.thrust
+def before_each(forces: Matrix) -> Matrix:
+    """Return the force before each of K forces (K, n): nothing before the first."""
+    return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
@@ -126,68 +121,22 @@ def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> fl
     """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
-    cost = np.einsum("ki,ij,kj->", error, scenario.Q, error)
-    cost += np.einsum("ki,ij,kj->", change, scenario.R, change)
-    if scenario.steered is not None:
-        cost += np.einsum("ki,ij,kj->", u, scenario.steered.W, u)
+    problem = scenario.problem
+    cost = np.einsum("ki,ij,kj->", error, problem.Q, error)
+    cost += np.einsum("ki,ij,kj->", change, problem.R, change)
+    if problem.W is not None:
+        cost += np.einsum("ki,ij,kj->", u, problem.W, u)
     return 0.5 * float(cost)
 
 
-def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict[str, float]:
+def _effort(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+    change = tau - before_each(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
         "effort_s": float(((tau / largest) ** 2).sum() * scenario.sample_s),
         "total_variation": float(np.abs(change / largest).sum()),
         "work_J": float(power.sum() * scenario.sample_s),
-    }
-
-
-def _limit_shares(
-    scenario: Scenario, tau: Matrix, u_before: Matrix, limits: tuple[Matrix, Matrix]
-) -> dict[str, float]:
-    ship, du_max, change = scenario.vessel, scenario.du_max, tau - u_before
-    low, high = (limit[: len(tau)] for limit in limits)
-    near = AT_LIMIT * du_max
-    # Beyond one unit in the last place of the force itself a difference is no rounding.
-    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    too_fast = (np.abs(change) > du_max + rounding).any(axis=1)
-    at_rate = np.abs(change) >= du_max - near
-    shares = {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
-    if scenario.attainable is not None:
-        return shares | _set_shares(scenario, tau, u_before, (low, high), too_fast)
-    at_amplitude = (tau >= high - near) | (tau <= low + near)
-    # What the rate leaves of a limit that has just dropped is no violation.
-    above = tau > np.maximum(high, u_before - du_max)
-    below = tau < np.minimum(low, u_before + du_max)
-    shares["limit_violations"] = float(((above | below).any(axis=1) | too_fast).sum())
-    for i, force in enumerate(FORCES):
-        shares[f"at_amplitude_{force}"] = float(at_amplitude[:, i].mean())
-    return shares
-
-
-def _set_shares(
-    scenario: Scenario,
-    tau: Matrix,
-    u_before: Matrix,
-    limits: tuple[Matrix, Matrix],
-    too_fast: Flags,
-) -> dict[str, float]:
-    """The same of a force that is limited as a whole, by what its thrusters give together."""
-    problem = scenario.control_problem()
-    near = AT_LIMIT * problem.row_max
-    (low, high), along, before = limits, tau @ problem.G.T, u_before @ problem.G.T
-    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
-    # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
-    outside = ((along > high + near) | (along < low - near)).any(axis=1)
-    share, share_before = (
-        np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
-        for rows in (along, before)
-    )
-    violated = (outside & (share > share_before + 1e-9)) | too_fast
-    return {
-        "limit_violations": float(violated.sum()),
-        "at_limit_thrusters": float(at_limit.mean()),
     }
 
 

@@ -6,12 +6,15 @@ by how much its thrust varies and how far its azimuth travels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from dpbench.arrays import Flags, Matrix, Vector
-from dpbench.bench.judge.control_metrics import AT_LIMIT
-from dpbench.mpc.thruster_rows import LimitRampDown
-from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.arrays import Matrix, Vector
+from dpbench.bench.judge.control_metrics import AT_LIMIT, before_each
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.controller import limit_tables
 from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
@@ -23,28 +26,26 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 
     Nothing where no thrusters are commanded.
     """
-    if scenario.commanded is None:
+    control = scenario.controller.commanded
+    if control is None:
         return {}
-    thrusters = scenario.commanded.thrusters
+    thrusters = control.thrusters
     size, most = thrusters.size(f), thrusters.thrust_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 
 
-def thruster_metrics(
-    scenario: Scenario, f: Matrix, limits: tuple[Matrix, Matrix]
-) -> dict[str, float]:
-    """Metrics of the forces f (K, n_f) [N] of a run; nothing where no thrusters are commanded.
+def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
+    """Metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
 
     Parameters
     ----------
-    limits : least and most of the thrusters' rows in force in each sample, at least (K, r).
+    limits : those of the thrusters in force, of at least K samples.
     """
-    control = scenario.commanded
-    if control is None:
-        return {}
+    control = scenario.controller.commanded
+    assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
-    before = np.vstack([np.zeros(f.shape[1]), f[:-1]])
+    before = before_each(f)
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
@@ -85,30 +86,26 @@ def _at_limits(
     step_max: Vector,
     f: Matrix,
     before: Matrix,
-    limits: tuple[Matrix, Matrix],
+    limits: Sequence[Limits],
 ) -> tuple[float, float]:
     """Share of steps with a thruster at its limit, and steps in which one is beyond it.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
     unit, G = control.rows.units(step_max), control.rows.G
-    low, high = (limit[: len(f)] for limit in limits)
+    low, high = limit_tables(limits[: len(f)])
+    lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
     near = AT_LIMIT * unit
     # A thruster that was lost is at nothing, not at a limit.
-    at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
+    at_limit = (((along >= high - near) | (along <= low + near)) & ~lost).any(axis=1)
     beyond = ((along > high) | (along < low)).any(axis=1)
-    too_fast: Flags = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
-    if control.turning is not None:
-        for k in np.flatnonzero(~too_fast).tolist():
-            kept = control.turning.kept(before[k], f[k] - before[k], step_max)
-            away = np.abs(kept - (f[k] - before[k]))
-            too_fast[k] = bool((away > 1e-6 * step_max).any())
-    retreat = LimitRampDown(control.rows, step_max, unit, 1)
+    too_fast = control.exceeds_rate(f, before, step_max)
+    ramp_down = LimitRampDown(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
-        least, most = (side[0] * unit for side in retreat.limits(before[k], low[k], high[k]))
+        least, most = (side[0] * unit for side in ramp_down.limits(before[k], limits[k]))
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)

@@ -65,14 +65,14 @@ def cell_of(
     suite: SuiteFile,
     table: Table,
     *,
-    no_stages: str = NO_MODEL,
+    why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
     """The cell of one configuration of a table, or why it is refused.
 
     Parameters
     ----------
-    no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
+    why_no_sparse_form : why the QPs cannot be formulated with the states kept; "" where they can.
     fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
@@ -92,7 +92,7 @@ def cell_of(
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
-    return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
+    return _if_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
 
 
 def replay_cells(
@@ -102,7 +102,7 @@ def replay_cells(
     steps: int,
     *,
     source: QPSource = CONTROLLER,
-    no_stages: str = NO_MODEL,
+    why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
     """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
@@ -122,7 +122,7 @@ def replay_cells(
             configuration,
             suite,
             table,
-            no_stages=no_stages,
+            why_no_sparse_form=why_no_sparse_form,
             mode="replay",
             source=source,
             steps=steps,

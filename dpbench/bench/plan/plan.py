@@ -27,7 +27,7 @@ from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, one_of
 from dpbench.scenario.horizons import Horizons
-from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
+from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -131,7 +131,7 @@ def _closed_loop_cells(
             configuration,
             suite,
             table,
-            no_stages=no_stages(scenario),
+            why_no_sparse_form=scenario.controller.why_no_sparse_form,
             mode="closed_loop",
             scenario=scenario.files,
             steps=steps,
@@ -145,7 +145,7 @@ def _closed_loop_cells(
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
-    why = no_delay(scenario)
+    why = scenario.controller.why_no_delay
     cells = [replace(planned, refused=planned.refused or missing) for planned in cells]
     return [
         replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
@@ -177,7 +177,7 @@ def _replay_cells(
         table,
         solvers,
         steps,
-        no_stages=no_stages(scenario),
+        why_no_sparse_form=scenario.controller.why_no_sparse_form,
         scenario=scenario.files,
         first=table.first,
         source=source,

@@ -17,7 +17,7 @@ from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import Scenario, no_delay
+from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Route, Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import record
@@ -51,7 +51,7 @@ def closed_loop_setup(
     """
     scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
-    why = no_delay(scenario)
+    why = scenario.controller.why_no_delay
     if delay.simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
@@ -109,11 +109,10 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
 
 def as_run(cell: Cell, scenario: Scenario) -> Scenario:
-    """The scenario as a cell runs it: the baseline law of a cascade is one in both of its halves,
-    as what ignores all constraints ignores the demand too."""
-    if cell.formulation != "none" or scenario.allocation is None:
+    """Return the scenario as a cell runs it, with the baseline law in all of its QPs or in none."""
+    if cell.formulation != "none":
         return scenario
-    return replace(scenario, allocation=replace(scenario.allocation, by_qp=False))
+    return replace(scenario, controller=scenario.controller.as_baseline_law())
 
 
 def replay_parts(

@@ -2,10 +2,9 @@
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
-is the force that was *applied*; where thrusters are steered, u are their forces and T_e u is that
-on the ship. A cascade allocates the limited force to its thrusters (`allocator.py`); what they make
-of it is u. Only the solver's call stands between two clock reads of its phases. On a slow computer
-(`slow_computer.py`) another stands in for solver and fallback; the loop is the same.
+is the force that was *applied*; how it reaches the ship is in `actuation.py`. Only the solver's
+call stands between two clock reads of its phases. On a slow computer (`slow_computer.py`) another
+stands in for solver and fallback; the loop is the same.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.allocator import Allocator
+from dpbench.bench.run.actuation import actuate
 from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
-from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import (
@@ -33,7 +31,7 @@ from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn
-from dpbench.ship.layout import AXES, POSE
+from dpbench.ship.layout import POSE
 from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
@@ -88,15 +86,11 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
-    limit, T_e = limit_of(builder.condensed), None
-    tau, told, applied, allocator = u, u, log.tau, _allocator(setup)
-    if scenario.commanded is not None:
-        T_e, applied = scenario.commanded.thrusters.T_e, log.thrust
-        if allocator is None:
-            tau = np.zeros(AXES)
-        else:
-            told, applied = allocator.f, log.demand
-            allocator.prepare()
+    limit, limits = scenario.controller.move_limit(), builder.limits
+    actuation = actuate(scenario.controller, builder, log, setup.allocating, clock, u)
+    tau, command, applied = actuation.tau, actuation.command, actuation.applied
+    act = actuation.act
+    actuation.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
@@ -121,17 +115,13 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
             du = law.move(x, reference[k], u)
             solver.reset()
         np.add(u, du, out=log.command[k])
-        clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
+        clipped = limit(u, du, limits[k], applied[k])
         u[...] = applied[k]
         log.flags[k] = (law.acted, usable and solution.status.is_unfinished, clipped)
         record_answer(log, 0, k, solution, solver.waited_ns)
-        if T_e is not None:
-            if allocator is not None:
-                # As the overhead is what neither solver takes.
-                t3 += allocator.allocate(k, u)
-            T_e.dot(told, out=tau)
-            log.tau[k] = tau
-        plant.advance(told, sea[k])
+        # As the overhead is what neither solver takes.
+        t3 += act(k)
+        plant.advance(command, sea[k])
         log.state[k + 1] = state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
@@ -162,14 +152,6 @@ def _steering(
         return solver, law, builder.emit
     both = LoopWithBackup(solver, backup, law, builder.emit)
     return both, both, both.emit
-
-
-def _allocator(setup: ClosedLoopSetup) -> Allocator | None:
-    """What allocates in a cascade."""
-    allocation = setup.scenario.allocation
-    if allocation is None:
-        return None
-    return Allocator(allocation, setup.builder, setup.log, setup.allocating, setup.clock)
 
 
 def _plant(scenario: Scenario) -> Plant:

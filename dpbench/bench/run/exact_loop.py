@@ -203,7 +203,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
         k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
-    demand = None if scenario.allocation is None else log.demand
+    demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
 
 

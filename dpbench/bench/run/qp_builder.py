@@ -10,10 +10,11 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.qp.program import QPStep
-from dpbench.scenario.commanded_thrusters import Allocation
-from dpbench.scenario.scenario import Scenario, condense, keep_states
+from dpbench.scenario.scenario import Scenario
 
 
 class QPBuilder:
@@ -27,56 +28,47 @@ class QPBuilder:
     ----------
     condensed : the builder of the condensed QPs; staged : that of the sparse ones, if they are
         meant.
-    reference (K + N_p, 3), u_min, u_max (K, r) : what is wanted and allowed at each sample.
-    n_f : entries of the thrusters' forces, where they are commanded; 0 else.
-    allocation : of a cascade, the builder of its second QP; None where there is none.
-    f_min, f_max (K, r) : of a cascade, what is allowed of its thrusters at each sample.
+    reference (K + N_p, 3) : what is wanted at each sample; limits (K) : what is allowed of u.
+    allocation : the builder of second QPs, which allocate the force; None where there are none.
+    thruster_limits (K) : what is allowed of thrusters that are commanded.
     """
 
     def __init__(
         self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
     ) -> None:
-        self.condensed = condense(scenario, units=units)
-        self.staged = keep_states(scenario, units=units) if sparse else None
+        controller, steps = scenario.controller, scenario.steps
+        self.condensed: CondensedQP = controller.build_qp(units)
+        self.staged: StagedQP | None = None
+        if sparse:
+            self.staged = controller.build_sparse_qp(units, f"scenario {scenario.name}")
         self._emit = self.condensed.emit if self.staged is None else self.staged.emit
-        self.reference: Matrix = scenario.reference_table(scenario.steps + scenario.N_p)
-        commanded = scenario.commanded
-        self.n_f = 0 if commanded is None else commanded.thrusters.n_f
-        self.u_min, self.u_max = scenario.limit_tables(scenario.steps)
-        self._horizon = scenario.N_p if scenario.preview else 0
-        # The vessel's own limits are in the builder; limits of a fault are handed over.
-        self._fault = min((k for k, _, _ in scenario.faults), default=scenario.steps)
-        self.allocation: AllocationQP | None = None
-        self._cascade = scenario.allocation
-        if scenario.allocation is not None:
-            # What thrusters make of a demand may lie beyond the limits of the force, from where
-            # limits that are handed over are reachable.
-            self._fault = 0
-            self._prepare_allocation(scenario.allocation, scenario.steps, units)
-
-    def _prepare_allocation(self, cascade: Allocation, steps: int, units: UnitSystem) -> None:
-        if cascade.by_qp:
-            self.allocation = AllocationQP(cascade.problem, units=units)
-        self.f_min, self.f_max = cascade.limit_tables(steps)
-        self._loss = min((k for k, _, _, _ in cascade.faults), default=steps)
+        N_p = controller.problem.N_p
+        self.reference: Matrix = scenario.reference_table(steps + N_p)
+        self._horizon = N_p if scenario.preview else 0
+        self.allocation: AllocationQP | None = controller.build_allocation(units)
+        self.limits = controller.limits(steps)
+        self.thruster_limits = controller.thruster_limits(steps)
+        self._n_f = controller.n_f
+        # Limits that a builder has built in are not handed over to it again.
+        self._built_in, self._allocates = controller.built_in_limits, controller.allocates
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
         """n and m of the condensed QPs, the length of [θ; 1], n_f, and of a cascade n and m of its
         second QP, zero where it has none."""
-        second = None if self._cascade is None else (0, 0)
+        second = (0, 0) if self._allocates else None
         if self.allocation is not None:
             second = self.allocation.n, self.allocation.m
         condensed = self.condensed
-        return condensed.n, condensed.m, int(condensed.Z.shape[1]), self.n_f, second
+        return condensed.n, condensed.m, int(condensed.Z.shape[1]), self._n_f, second
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
         """The QP of step k: x (9,), u_prev (n_u,) as for `CondensedQP.emit`."""
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
-        if k < self._fault:
+        limits = self.limits[k]
+        if limits is self._built_in:
             return self._emit(x, y_ref, u_prev)
-        limits = self.u_min[k], self.u_max[k]
         return self._emit(x, y_ref, u_prev, limits=limits)
 
     def rebuild(self, k: int, theta: Vector) -> QPStep:
@@ -89,10 +81,11 @@ class QPBuilder:
         """The second QP of step k of a cascade: demand (3,), f_prev (n_f,) as for
         `AllocationQP.emit`."""
         assert self.allocation is not None, "a QP allocates"
-        if k < self._loss:
+        limits = self.thruster_limits[k]
+        if limits is self.allocation.allocation.rows.intact:
             return self.allocation.emit(demand, f_prev)
-        return self.allocation.emit(demand, f_prev, limits=(self.f_min[k], self.f_max[k]))
+        return self.allocation.emit(demand, f_prev, limits=limits)
 
     def allocate_again(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
         """The second QP of step k from the recorded demand (K, 3) and forces (K, n_f)."""
-        return self.allocate(k, demand[k], thrust[k - 1] if k else np.zeros(self.n_f))
+        return self.allocate(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))

@@ -24,6 +24,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.mpc.thrusters.static_allocation import LossAllocation
 from dpbench.qp.program import QPSequence
+from dpbench.scenario.controllers.controller import limit_tables
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -33,7 +34,7 @@ AVERAGE_S = 60.0
 
 def steered_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
     """The thrusters of a scenario and their limits; InputError where none are commanded."""
-    commanded = scenario.commanded
+    commanded = scenario.controller.commanded
     if commanded is None:
         where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'
         raise InputError(where, "controller.kind", '"forces"', allowed)
@@ -60,8 +61,8 @@ def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSeque
     """
     thrusters, rows = steered_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
-    low, high = (scenario.allocation or scenario).limit_tables(len(tau))
-    least, most = rows.without(set(thrusters.groups[group]))
+    low, high = limit_tables(scenario.controller.thruster_limits(len(tau)))
+    least, most, _ = rows.without(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)
     l, u = allocation.limits(required_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program

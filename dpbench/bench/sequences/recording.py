@@ -55,7 +55,7 @@ def record(
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
     sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
-    meta = sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    meta = sequence.meta | scenario.problem.horizons
     sequence = thinned(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")
     units = builder.condensed.scale

@@ -120,7 +120,7 @@ def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
         for table in manifest.horizons:
             yield Rule(scenario, table.prediction, table.control, steps, table.every)
     for cascade in manifest.allocations:
-        own = load_scenario(cascade.scenario)
+        own = load_scenario(cascade.scenario).problem
         of_loop = own.N_p, own.N_c, cascade.steps, cascade.every
         yield Rule(cascade.scenario, *of_loop, "allocation")
 

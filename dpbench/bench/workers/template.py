@@ -11,13 +11,13 @@ import time
 
 import numpy as np
 
-from dpbench.bench.run.limits import limit_move
 from dpbench.bench.run.replay import reference_kernel_ns
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import prediction_model
+from dpbench.mpc.move_limits import limit_move
 from dpbench.mpc.reference import nearest_pose
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify

@@ -229,7 +229,7 @@ def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "error_plan": repr(worst.error_plan),
             "status": worst.status.name.lower(),
         }
-    meta = case.sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    meta = case.sequence.meta | scenario.problem.horizons
     meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
     sequence = replace(case.sequence, meta=meta)
     units = QPBuilder(scenario, "si").condensed.scale

@@ -19,9 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
-from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows
+from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
 from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
 from dpbench.ship.layout import AXES
 
@@ -59,13 +59,13 @@ class AllocationProblem:
         """(r,) the change of G f by a full step along each row: the unit of the row."""
         return self.rows.units(self.df_max)
 
-    def pseudo_inverse(self, lost: frozenset[int] = frozenset()) -> Matrix:
+    def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
         """W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation with no limit, no rate and no slack.
 
-        Thrusters of the numbers in `lost` get nothing; where the others cannot make every force,
+        Thrusters that are `lost` (p,) get nothing; where the others cannot make every force,
         it is that of least squares in units of `step_max`.
         """
-        works = np.isin(self.rows.entry, list(lost), invert=True)
+        works = np.isin(self.rows.entry, np.flatnonzero(lost), invert=True)
         root = np.linalg.cholesky(np.linalg.inv(self.W))
         root[~works] = 0.0
         scaled = self.T_e @ root / self.step_max[:, np.newaxis]
@@ -126,17 +126,15 @@ class AllocationQP:
         limits[0, AXES:, -1], limits[1, AXES:, -1] = problem.rows.low, problem.rows.high
         self.Z: Matrix = np.vstack([q * unit[:, np.newaxis], *(limits / row_unit)])
 
-    def emit(
-        self, tau: Vector, f_prev: Vector, *, limits: tuple[Vector, Vector] | None = None
-    ) -> QPStep:
+    def emit(self, tau: Vector, f_prev: Vector, *, limits: Limits | None = None) -> QPStep:
         """The QP of one step, in memory of its own.
 
         Parameters
         ----------
         tau : (3,) τ_c, the force demanded [N, N, N·m].
         f_prev : (n_f,) forces of the thrusters in the last sample [N].
-        limits : (low, high), each (r,) [N], in force from now on instead of those of the problem;
-            a thruster beyond them by now may retreat straight to nothing (`LimitRampDown`).
+        limits : [N], in force from now on instead of those of the problem; a thruster beyond them
+            by now may retreat straight to nothing (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev
@@ -145,7 +143,7 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._ramp_down.write(f_prev, *limits, step.l[AXES:], step.u[AXES:])
+            self._ramp_down.write(f_prev, limits, step.l[AXES:], step.u[AXES:])
         return step
 
     def base(self) -> QuadraticProgram:

@@ -14,13 +14,14 @@ falls.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.arrays import Indices, Matrix
 from dpbench.errors import InputError
-from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -41,21 +42,25 @@ class AttainableSet:
     normals: Matrix
     corners: tuple[Matrix, ...]
 
-    def limits(self, lost: set[int]) -> tuple[Vector, Vector]:
-        """−h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing."""
+    def limits(self, lost: Collection[int]) -> Limits:
+        """−h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing.
+
+        The force as a whole counts as lost where in some direction nothing is left of the set.
+        """
         low, high = np.zeros(len(self.normals)), np.zeros(len(self.normals))
         for i, corners in enumerate(self.corners):
             if i not in lost:
                 along = self.normals @ corners.T
                 low += along.min(axis=1)
                 high += along.max(axis=1)
-        return low, high
+        return Limits(low, high, np.array([(low == high).any()]))
 
     def rows(self) -> ThrusterRows:
         """As rows of the force, which is limited as a whole: one group of rows and entries."""
         together: Indices = np.zeros(len(self.normals), dtype=np.intp)
         entries: Indices = np.zeros(AXES, dtype=np.intp)
-        return ThrusterRows(self.normals, *self.limits(set()), together, entries)
+        low, high, _ = self.limits(())
+        return ThrusterRows(self.normals, low, high, together, entries)
 
 
 def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:

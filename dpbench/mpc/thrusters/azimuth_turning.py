@@ -19,7 +19,9 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP, Form
+from dpbench.mpc.move_limits import ThrusterLimit
 from dpbench.mpc.soft_limits import ConstraintBlock
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -75,6 +77,17 @@ class AzimuthTurning:
         return out
 
 
+class TurningLimit(ThrusterLimit):
+    """Limits thrusters as `ThrusterLimit`, and their azimuths to their turning rate."""
+
+    def __init__(self, rows: ThrusterRows, du_max: Vector, turning: AzimuthTurning) -> None:
+        super().__init__(rows, du_max)
+        self._turning = turning
+
+    def _at_rate(self, u: Vector, du: Vector) -> Vector:
+        return self._turning.kept(u, super()._at_rate(u, du), self._du_max)
+
+
 @njit(cache=True, error_model="numpy")
 def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Parts of n along X and Y, and the most across, of one azimuth."""
@@ -125,7 +138,7 @@ class TurningQP(CondensedQP):
         y_ref: Vector,
         u_prev: Vector,
         *,
-        limits: tuple[Vector, Vector] | None = None,
+        limits: Limits | None = None,
     ) -> QPStep:
         """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
         step = super().emit(x, y_ref, u_prev, limits=limits)

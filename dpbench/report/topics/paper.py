@@ -140,8 +140,8 @@ def choices(records: Records) -> list[tuple[str, str]]:
         return []
     chosen = {
         "vessel": scenario.vessel,
-        "Q": scenario.Q,
-        "R": scenario.R,
+        "Q": scenario.problem.Q,
+        "R": scenario.problem.R,
         "sea": scenario.files["scenario"]["environment"],
         "duration_s": scenario.steps * scenario.sample_s,
     }

@@ -54,5 +54,5 @@ def test_the_scenario_comes_from_the_rows(records: Any) -> None:
     records.loop("daqp")
     scenario = records.view().scenario("paper")
     assert scenario is not None
-    np.testing.assert_allclose(scenario.du_max, [32736.0, 11008.0, 475200.0], rtol=1e-12)
+    np.testing.assert_allclose(scenario.problem.du_max, [32736.0, 11008.0, 475200.0], rtol=1e-12)
     assert records.view().scenario("rough") is None

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
 from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.model import StateSpace
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.thrusters import ThrusterController
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 SAMPLE_S = 0.5
@@ -28,8 +36,35 @@ def round_ship(sample_s: float = SAMPLE_S, **changes: Any) -> Scenario:
         tau_max=np.array([100.0, 50.0, 20.0]),
         rate_max=np.array([20.0, 10.0, 4.0]) * SAMPLE_S / sample_s,
     )
-    weights = {"Q": np.eye(3), "R": np.eye(3)}
-    return replace(calm, **({"sample_s": sample_s, "vessel": ship} | weights | changes))
+    problem = replace(
+        calm.problem,
+        **({"Q": np.eye(3), "R": np.eye(3), "du_max": ship.step_max(sample_s)} | changes),
+    )
+    controller = replace(calm.controller, problem=problem)
+    return replace(calm, sample_s=sample_s, vessel=ship, controller=controller)
+
+
+def with_controller(kind: type[Controller], problem: ControlProblem, **fields: Any) -> Scenario:
+    """Return the ship of round numbers with a controller of another kind and problem."""
+    ship = round_ship()
+    own = {f.name: getattr(ship.controller, f.name) for f in dataclass_fields(Controller)}
+    return replace(ship, controller=kind(**(own | {"problem": problem} | fields)))
+
+
+def thruster_ship(control: ThrusterControl, R: np.ndarray | None = None) -> Scenario:
+    """Return the ship of round numbers whose controller commands these thrusters."""
+    own, rows, thrusters = round_ship().problem, control.rows, control.thrusters
+    problem = replace(
+        own,
+        model=StateSpace(own.model.A, own.model.B @ thrusters.T_e, own.model.C),
+        R=np.eye(thrusters.n_f) if R is None else R,
+        u_min=rows.low,
+        u_max=rows.high,
+        du_max=thrusters.step_max(SAMPLE_S),
+        thrusters=rows,
+        W=control.W,
+    )
+    return with_controller(ThrusterController, problem, control=control)
 
 
 def exact_loop(pose: Rows, tau: Rows, thrust: Rows | None = None) -> ExactLoop:
@@ -77,4 +112,9 @@ def metrics_of(
     nothing = np.zeros_like(applied)
     still = exact_loop(np.zeros((K + 1, 3)).tolist(), np.zeros((K, 3)).tolist(), nothing.tolist())
     loop = still if exact is None else exact
-    return control_metrics(ship, state, applied, wanted, (low, high), loop)
+    metrics = control_metrics(ship, state, applied, wanted, loop)
+    of_limits = {"axis_limits": axis_limit_metrics, "joint_limits": joint_limit_metrics}
+    in_force = [Limits(*sides) for sides in zip(low, high, strict=True)]
+    for group in set(of_limits) & set(ship.controller.metric_groups):
+        metrics |= of_limits[group](ship, applied, in_force)
+    return metrics

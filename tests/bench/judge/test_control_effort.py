@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from dpbench.bench.record.schema import FORCES
 from dpbench.mpc.thruster_rows import thruster_rows
-from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
-from tests.bench.judge.known_runs import exact_loop, metrics_of, round_ship
+from tests.bench.judge.known_runs import exact_loop, metrics_of, round_ship, thruster_ship
 
 STILL = [0.0, 0.0, 0.0]
 ULP = float(np.spacing(200.0))
@@ -89,8 +89,7 @@ def with_thrusters() -> Scenario:
         )
     )
     W = np.diag([1.0, 2.0, 4.0])
-    steered = ThrusterControl(thrusters, thruster_rows(thrusters, 4), W)
-    return round_ship(R=R, steered=steered)
+    return thruster_ship(ThrusterControl(thrusters, thruster_rows(thrusters, 4), W), R)
 
 
 def test_cost_of_steered_thrusters_has_their_weight() -> None:

@@ -5,6 +5,7 @@ The set is the box of ±100 N, ±40 N and ±10 N·m, so that shares of it are ea
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -12,8 +13,9 @@ import pytest
 
 from dpbench.bench.record.schema import FORCES
 from dpbench.mpc.thrusters.attainable_set import AttainableSet
+from dpbench.scenario.controllers.forces import JointForceController
 from tests.bench.judge import known_runs
-from tests.bench.judge.known_runs import Rows, round_ship
+from tests.bench.judge.known_runs import Rows, round_ship, with_controller
 
 HIGH = [100.0, 40.0, 10.0]
 BOX = AttainableSet(np.eye(3), (np.array(list(product(*[(-h, h) for h in HIGH]))),))
@@ -27,7 +29,9 @@ def metrics_of(u: Rows, shares: list[float]) -> dict[str, float]:
     """
     high = np.multiply.outer(shares, HIGH)
     limits = (-high).tolist(), high.tolist()
-    ship = round_ship(attainable=BOX)
+    rows = BOX.rows()
+    problem = replace(round_ship().problem, thrusters=rows, u_min=rows.low, u_max=rows.high)
+    ship = with_controller(JointForceController, problem)
     return known_runs.metrics_of([STILL] * (len(u) + 1), u, limits=limits, scenario=ship)
 
 

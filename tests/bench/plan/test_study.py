@@ -93,7 +93,7 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
         assert cell.study is not None
         scenario, x = scenario_of(cell.scenario), cell.study.x
         environment = cell.scenario["scenario"]["environment"]
-        assert scenario.N_p == x[HORIZON] and cell.steps == 30
+        assert scenario.problem.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])
         assert environment["seed"] == 3 + cell.study.replicate
     studies = [(c.study, c.solver, c.settings) for c in cells]

@@ -180,7 +180,7 @@ def slow(
 
 def forces(log: RawLog, scenario: Scenario, steps: int = 4) -> list[float]:
     """Applied surge forces of the first steps, in rate-limit steps."""
-    return np.round(log.tau[:steps, 0] / scenario.du_max[0], 9).tolist()
+    return np.round(log.tau[:steps, 0] / scenario.problem.du_max[0], 9).tolist()
 
 
 def test_a_failure_in_time_leaves_the_backup_the_rest_of_the_budget(scenario: Scenario) -> None:

@@ -70,7 +70,7 @@ def exact(case: Scenario) -> ExactLoop:
 
 def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """The first move of the force, by quadprog on matrices made here; u may be beyond a limit."""
-    control, N_c = case.control_problem(), 3
+    control, N_c = case.problem, 3
     model, du = control.model, control.du_max
     H, g = np.zeros((3 * N_c, 3 * N_c)), np.zeros(3 * N_c)
     for i in range(1, control.N_p + 1):
@@ -81,9 +81,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         ]
         effect = np.hstack(moved)
         free = model.C @ power(model.A, i) @ x - case.reference
-        H += effect.T @ case.Q @ effect
-        g += effect.T @ case.Q @ free
-    H += np.diag(np.tile(np.diag(case.R) * du**2, N_c))
+        H += effect.T @ case.problem.Q @ effect
+        g += effect.T @ case.problem.Q @ free
+    H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c))
     sums, one = np.kron(np.tri(N_c), np.eye(3)), np.eye(3 * N_c)
     steps = np.repeat(np.arange(1.0, N_c + 1), 3)
     high = np.maximum(np.tile((control.u_max - u) / du, N_c), -steps)
@@ -96,9 +96,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.ndarray:
     """The forces of the thrusters, by quadprog on moves and slacks of a problem made here."""
-    assert case.allocation is not None
+    assert case.controller.commanded is not None
     table = case.files["scenario"]["controller"]["thrusters"]
-    thrusters, rows = case.allocation.control.thrusters, case.allocation.control.rows
+    thrusters, rows = case.controller.commanded.thrusters, case.controller.commanded.rows
     n_f = thrusters.n_f
     T, step = thrusters.per_entry(thrusters.thrust_N), thrusters.step_max(case.sample_s)
     unit = np.concatenate([step, case.force_step_max])
@@ -121,8 +121,8 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     """Plan of the force, its allocation and the ship's motion, one after the other."""
-    assert case.allocation is not None
-    T_e = case.allocation.control.thrusters.T_e
+    assert case.controller.commanded is not None
+    T_e = case.controller.commanded.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = case.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state
@@ -160,7 +160,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     most = np.array([1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]) * (100.0 if "units" in fields else 1.0)
     assert (away <= most).all(), away
     builder = QPBuilder(case)
-    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
     assert not log.flags.any()
 
@@ -172,7 +172,7 @@ def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     log = steered_by(lost, open_workspace("daqp", route="native", settings="high")).log
     assert not log.flags.any()
     builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, (builder.f_min, builder.f_max))
+    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
     gone = 20 + math.ceil(12.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
@@ -191,7 +191,7 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
         log = steered_by(case, open_workspace("daqp", route="native", settings="high")).log
         assert not log.flags[:, :2].any()
         builder = QPBuilder(case)
-        metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+        metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
         assert metrics["limit_violations"] == 0.0
         away = np.abs(log.demand - log.tau) / case.vessel.tau_max
         missing[limits] = float(away[100:].max(axis=1).mean())
@@ -206,10 +206,11 @@ def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
     builder = QPBuilder(case)
     vessel, thrusters = case.vessel, case.vessel.thrusters
     assert thrusters is not None
-    np.testing.assert_array_equal(builder.u_max[4], vessel.tau_max)
-    np.testing.assert_array_equal(builder.u_max[5], 0.5 * vessel.tau_max)
-    np.testing.assert_array_equal(builder.u_max[10], 0.5 * vessel.tau_max)
-    assert (builder.f_max[9, 0], builder.f_max[10, 0]) == (thrusters.thrust_N[0], 0.0)
+    np.testing.assert_array_equal(builder.limits[4].high, vessel.tau_max)
+    np.testing.assert_array_equal(builder.limits[5].high, 0.5 * vessel.tau_max)
+    np.testing.assert_array_equal(builder.limits[10].high, 0.5 * vessel.tau_max)
+    in_force = builder.thruster_limits
+    assert (in_force[9].high[0], in_force[10].high[0]) == (thrusters.thrust_N[0], 0.0)
 
 
 def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
@@ -236,7 +237,7 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
     assert log.allocation is not None
     assert (log.allocation.status[0] == Status.ERROR).all()
     assert setup.solver.details == {"ArithmeticError: no allocation": case.steps}
-    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
+    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
     plain = scenario(allocation="pseudo_inverse")
     other = steered_by(plain, function_workspace()).log

@@ -19,10 +19,10 @@ from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.limits import limit_move
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.law import UnconstrainedLaw, gains
+from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, condense, scenario_of
@@ -128,7 +128,9 @@ def test_u_prev_is_the_force_applied_after_clipping(scenario: Scenario) -> None:
     log, _, _ = run(scenario, constant(7.0))
     np.testing.assert_array_equal(log.theta[1:, 12:15], log.tau[:-1])
     assert log.flags[:, 2].all(), "every step was clipped"
-    np.testing.assert_allclose(np.diff(log.tau[:20], axis=0)[0], scenario.du_max, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.diff(log.tau[:20], axis=0)[0], scenario.problem.du_max, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -5.0])
@@ -145,7 +147,7 @@ def test_no_answer_violates_a_limit(scenario: Scenario, bad: float) -> None:
     ship = scenario.vessel
     assert (log.tau <= ship.tau_max).all() and (log.tau >= ship.tau_min).all()
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
-    assert (np.abs(change) <= scenario.du_max + np.spacing(ship.tau_max)).all()
+    assert (np.abs(change) <= scenario.problem.du_max + np.spacing(ship.tau_max)).all()
     assert np.isfinite(log.state).all()
 
 
@@ -164,7 +166,7 @@ def failing_from(first: int, status: Status = Status.PRIMAL_INFEASIBLE) -> Answe
 def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> None:
     """After the last usable plan its second, third … moves are applied, then the force is held."""
     log, workspace, _ = run(scenario, failing_from(3))
-    moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.du_max
+    moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.problem.du_max
     np.testing.assert_allclose(moves[2:9, 0], [0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], atol=1e-9)
     assert log.flags[:, 0].tolist() == [0] * 3 + [1] * 37
     assert workspace.resets == 37, "the workspace is reset after every unusable answer"
@@ -179,10 +181,13 @@ def test_hold_keeps_the_force(scenario: Scenario) -> None:
 def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) and the loop clips it."""
     log, _, _ = run(scenario, failing_from(0), "clip")
-    law = gains(scenario.control_problem())
+    law = gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
-        log.command - log.theta[:, 12:15], demanded, rtol=0, atol=1e-6 * scenario.du_max.max()
+        log.command - log.theta[:, 12:15],
+        demanded,
+        rtol=0,
+        atol=1e-6 * scenario.problem.du_max.max(),
     )
 
 
@@ -194,7 +199,7 @@ def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status:
     )
     log, _, _ = run(scenario, answer)
     assert log.flags[:, 1].all() and not log.flags[:, 0].any()
-    np.testing.assert_allclose(log.tau[0], 0.25 * scenario.du_max, rtol=1e-12)
+    np.testing.assert_allclose(log.tau[0], 0.25 * scenario.problem.du_max, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> Non
     np.testing.assert_array_equal(short.state, long.state[:states])
     for part in ("theta", "tau", "thrust", "z"):
         np.testing.assert_array_equal(getattr(short, part), getattr(long, part)[:SHORT])
-    assert (short.demand is None) == (scenario.allocation is None)
+    assert (short.demand is not None) == scenario.controller.allocates
     if short.demand is not None and long.demand is not None:
         np.testing.assert_array_equal(short.demand, long.demand[:SHORT])
     assert len(short.allocated) == (SHORT if long.allocated else 0)

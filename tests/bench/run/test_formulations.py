@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +29,13 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
-from dpbench.scenario.scenario import Scenario, no_stages, scenario_of
+from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.contract import Policy, Workspace
 
 SOLVER = "piqp_multistage"
@@ -99,7 +99,7 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
     scenario = LOOPS[name]()
     seen = workspace()
     run = run_closed_loop(scenario, seen, formulation="sparse")
-    stages = scenario.N_c * 15 + (scenario.N_p - scenario.N_c) * 9
+    stages = scenario.problem.N_c * 15 + (scenario.problem.N_p - scenario.problem.N_c) * 9
     assert {qp.n for qp in seen.problems} == {stages}
     assert run.summary["formulation"] == "sparse"
     assert run.steps["true_1e6"].all() and run.steps["claimed"].all()
@@ -128,8 +128,11 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
         record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")
     )
     assert scaled is not None and own is not None
-    du, one = scenario.du_max, np.ones(9)
-    moved, rest = scenario.N_c, np.ones((scenario.N_p - scenario.N_c) * 9)
+    du, one = scenario.problem.du_max, np.ones(9)
+    moved, rest = (
+        scenario.problem.N_c,
+        np.ones((scenario.problem.N_p - scenario.problem.N_c) * 9),
+    )
     z = np.concatenate([np.tile(np.concatenate([du, du, one]), moved), rest])
     row = np.concatenate([np.tile(np.concatenate([du, one, du]), moved), rest])
     for k in range(4):
@@ -150,8 +153,8 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
     """What the loop emits at step k with the states kept is what the replay hands over at k, and
     its optimum is that of the condensed problem, faults included."""
-    scenario = replace(early_loss().first(24), N_p=6, N_c=3)
-    assert scenario.faults[0][0] == 20
+    scenario = with_horizons(early_loss(), 6, 3).first(24)
+    assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None
     sparse_equivalent, builder = sequence.sparse_equivalent(), QPBuilder(scenario, sparse=True)
@@ -201,7 +204,7 @@ def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> 
     box, sparse = plan(_suite(replay=[table]))
     assert box.refused == ""
     assert why in sparse.refused and bool(why) == bool(sparse.refused)
-    assert no_stages(load_scenario(scenario)) == sparse.refused
+    assert load_scenario(scenario).controller.why_no_sparse_form == sparse.refused
     if why:
         with pytest.raises(InputError, match=why):
             QPBuilder(load_scenario(scenario), sparse=True)

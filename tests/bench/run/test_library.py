@@ -11,9 +11,11 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.force_limits import axis_limit_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.scenario.controllers.linearisation import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.contract import Policy
@@ -31,12 +33,11 @@ def exact(name: str) -> ExactLoop:
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     """The metrics of a loop."""
     builder = QPBuilder(scenario)
-    limits, of_thrusters = (builder.u_min, builder.u_max), (builder.u_min, builder.u_max)
-    if scenario.allocation is not None:
-        of_thrusters = builder.f_min, builder.f_max
-    u = loop.tau if scenario.steered is None else loop.thrust
-    of_ship = control_metrics(scenario, loop.state, u, builder.reference, limits, loop)
-    return of_ship | thruster_metrics(scenario, loop.thrust, of_thrusters)
+    u = scenario.controller.applied(loop.tau, loop.thrust)
+    of_ship = control_metrics(scenario, loop.state, u, builder.reference, loop)
+    if scenario.controller.commanded is None:
+        return of_ship | axis_limit_metrics(scenario, loop.tau, builder.limits)
+    return of_ship | thruster_metrics(scenario, loop.thrust, builder.thruster_limits)
 
 
 def metrics(name: str) -> dict[str, float]:
@@ -89,7 +90,7 @@ def test_squall_meets_the_rate_then_the_amplitude_limit_and_the_ship_returns() -
     """After 60 s sway moves at its rate limit, then it saturates; the drift is made good."""
     scenario, loop = load_scenario("squall"), exact("squall")
     tau = loop.tau[round(60.0 / scenario.sample_s) :, 1]
-    rate = np.flatnonzero(np.abs(np.diff(tau)) >= scenario.du_max[1] * (1 - 1e-9))
+    rate = np.flatnonzero(np.abs(np.diff(tau)) >= scenario.problem.du_max[1] * (1 - 1e-9))
     full = np.flatnonzero(np.abs(tau) >= scenario.vessel.tau_max[1] * (1 - 1e-9))
     assert 0 < rate[0] < full[0]
     found = metrics("squall")
@@ -128,7 +129,8 @@ def test_turn_needs_a_model_that_turns() -> None:
     loop, scenario = exact("turn"), load_scenario("turn")
     np.testing.assert_allclose(np.degrees(loop.state[-1, 5]), 90.0, atol=0.1)
     assert np.hypot(*loop.state[-1, 3:5]) < 0.1
-    fixed = solve_exactly(replace(scenario, relinearised=False))
+    once = replace(scenario.controller, linearisation=FIXED_MODEL)
+    fixed = solve_exactly(replace(scenario, controller=once))
     assert np.hypot(fixed.state[-200:, 3], fixed.state[-200:, 4]).max() > 10.0
 
 
@@ -218,7 +220,7 @@ def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
     assert forces.files["vessel"] == thrusters.files["vessel"]
     environments = [s.files["scenario"]["environment"] for s in (forces, thrusters)]
     assert environments[0] == environments[1]
-    assert (forces.N_p, forces.N_c) == (thrusters.N_p, thrusters.N_c)
+    assert forces.problem.horizons == thrusters.problem.horizons
     most = [
         max(int((np.abs(np.r_[o.y, o.y_box]) > 1e-9).sum()) for o in exact(s.name).optima)
         for s in (forces, thrusters)
@@ -230,7 +232,8 @@ def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
 def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
     """Speed over ground stays near 0.15 m/s where it would be twice that without the bound."""
     scenario, loop = load_scenario("watch_circle"), exact("watch_circle")
-    free = solve_exactly(replace(scenario, outputs=None))
+    unbounded = replace(scenario.controller, outputs=None)
+    free = solve_exactly(replace(scenario, controller=unbounded))
     # Softened, and held at ten instants of the horizon only.
     assert top_speed(scenario, loop) < 0.17
     assert top_speed(scenario, free) > 0.3

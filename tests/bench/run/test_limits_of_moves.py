@@ -9,10 +9,10 @@ import pytest
 
 from dpbench import condense, load_scenario
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.limits import ThrusterLimit, limit_move, limit_of
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import UnconstrainedLaw
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.move_limits import ThrusterLimit, limit_move
+from dpbench.mpc.thruster_rows import Limits, thruster_rows
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -113,7 +113,7 @@ def test_every_thruster_is_limited_as_a_whole(
     """Each thruster has its own rate and limits; a lost one returns to zero."""
     found, move = np.full(3, np.nan), np.array(df, dtype=float)
     limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
-    clipped = limit(np.array(f, dtype=float), move, *ROWS.without(lost), found)
+    clipped = limit(np.array(f, dtype=float), move, ROWS.without(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
     assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
 
@@ -148,7 +148,7 @@ def test_an_azimuth_is_cut_along_its_move(
     rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
     limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
     move = np.array(df, dtype=float)
-    assert limit(np.array(f, dtype=float), move, *rows.without(lost), found)
+    assert limit(np.array(f, dtype=float), move, rows.without(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
 
 
@@ -162,11 +162,11 @@ def builder(scenario: Scenario) -> CondensedQP:
     return condense(scenario)
 
 
-def test_a_controller_of_forces_limits_axis_by_axis(builder: CondensedQP) -> None:
+def test_a_controller_of_forces_limits_axis_by_axis(scenario: Scenario) -> None:
     """The largest increments are 32 736 N, 11 008 N and 475 200 N·m."""
     applied = np.empty(3)
-    low, high = np.full(3, -1e9), np.full(3, 1e9)
-    assert limit_of(builder)(np.zeros(3), np.full(3, -1e8), low, high, applied)
+    limits, limit = Limits(np.full(3, -1e9), np.full(3, 1e9)), scenario.controller.move_limit()
+    assert limit(np.zeros(3), np.full(3, -1e8), limits, applied)
     np.testing.assert_allclose(applied, [-32736.0, -11008.0, -475200.0])
 
 
@@ -196,7 +196,8 @@ def test_hold_moves_nothing(builder: CondensedQP) -> None:
 
 def test_clip_is_the_first_move_of_the_unconstrained_optimum(scenario: Scenario) -> None:
     """The move is the first three entries of −P⁻¹ q of the QP in N and N·m."""
-    si = condense(replace(scenario, N_p=6, N_c=2), units="si")
+    short = replace(scenario.problem, N_p=6, N_c=2)
+    si = CondensedQP(short, units="si")
     x, y_ref = np.array([0.1, -0.2, 0.01, 0.02, 0.03, 0.004, 1.5, -2.0, 0.3]), np.ones(3)
     step = si.emit(x, y_ref, np.zeros(3))
     expected = -np.linalg.solve(si.problem(step).P, step.q)[:3]

@@ -62,7 +62,7 @@ def test_calm_has_no_active_limit(loops: dict[str, tuple[Scenario, ExactLoop]]) 
     scenario, exact = loops["calm"]
     baseline_law = clipped(scenario)
     tau = baseline_law[["tau_x_N", "tau_y_N", "tau_n_Nm"]].to_numpy()
-    np.testing.assert_allclose(tau, exact.tau, rtol=0, atol=1e-6 * scenario.du_max.min())
+    np.testing.assert_allclose(tau, exact.tau, rtol=0, atol=1e-6 * scenario.problem.du_max.min())
 
 
 def test_rough_saturates_sway_and_stays_put(
@@ -81,7 +81,7 @@ def test_no_force_violates_a_limit(loops: dict[str, tuple[Scenario, ExactLoop]])
         ship = scenario.vessel
         assert (exact.tau <= ship.tau_max).all() and (exact.tau >= ship.tau_min).all()
         change = np.diff(exact.tau, axis=0, prepend=np.zeros((1, 3)))
-        assert (np.abs(change) <= scenario.du_max + np.spacing(ship.tau_max)).all()
+        assert (np.abs(change) <= scenario.problem.du_max + np.spacing(ship.tau_max)).all()
 
 
 @pytest.mark.slow

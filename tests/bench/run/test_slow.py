@@ -28,6 +28,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.law import gains
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.controllers.controller import limit_tables
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 
@@ -94,7 +95,7 @@ def run(
 
 def forces(log: RawLog, scenario: Scenario) -> list[float]:
     """Applied surge forces in rate-limit steps."""
-    return np.round(log.tau[:, 0] / scenario.du_max[0], 9).tolist()
+    return np.round(log.tau[:, 0] / scenario.problem.du_max[0], 9).tolist()
 
 
 def asked(log: RawLog) -> list[int]:
@@ -115,7 +116,7 @@ def test_a_plan_three_samples_late_enters_at_its_fourth_move(scenario: Scenario)
     assert found[:12] == [0.0, 0.0, 0.0, 1.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5]
     assert found[12:] == [1.5] * 12
     # Demanded at step 3: all four moves at once, which the rate limit then cuts.
-    demanded = log.command[3, 0] / scenario.du_max[0]
+    demanded = log.command[3, 0] / scenario.problem.du_max[0]
     assert demanded == pytest.approx(0.5 + 0.4 + 0.3 + 0.2)
 
 
@@ -152,10 +153,13 @@ def test_hold_waits_with_the_force_it_has(scenario: Scenario) -> None:
 def test_clip_steers_by_the_unconstrained_law_meanwhile(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) in every step without an answer."""
     log = run(scenario, Timed(lambda i: 1e6), fallback="clip")
-    law = gains(scenario.control_problem())
+    law = gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
-        log.command - log.theta[:, 12:15], demanded, rtol=0, atol=1e-6 * scenario.du_max.max()
+        log.command - log.theta[:, 12:15],
+        demanded,
+        rtol=0,
+        atol=1e-6 * scenario.problem.du_max.max(),
     )
 
 
@@ -211,9 +215,9 @@ def test_one_processor_and_no_limit_violated(
     began = np.array(asked(log))
     took = np.maximum(1, np.ceil(np.round(np.array(latencies) * SAMPLE_NS) / SAMPLE_NS))
     np.testing.assert_array_equal(np.diff(began), took[: len(began) - 1])
-    low, high = scenario.limit_tables(24)
+    low, high = limit_tables(scenario.controller.limits(24))
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
-    assert (np.abs(change) <= scenario.du_max + np.spacing(scenario.vessel.tau_max)).all()
+    assert (np.abs(change) <= scenario.problem.du_max + np.spacing(scenario.vessel.tau_max)).all()
     assert (log.tau <= high).all() and (log.tau >= low).all()
 
 

@@ -20,10 +20,8 @@ from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.formulation import in_loop
-from dpbench.bench.run.limits import limit_of
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, CommandedThrusters
@@ -99,9 +97,9 @@ def exact(case: Scenario) -> ExactLoop:
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     """Plan by quadprog on matrices made here, thrust by T_e, motion by the plant of the forces."""
-    control, plain = case.control_problem(), load_scenario("rough")
-    assert case.steered is not None
-    T_e, G = case.steered.thrusters.T_e, case.steered.rows.G
+    control, plain = case.problem, load_scenario("rough")
+    assert case.controller.commanded is not None
+    T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = plain.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
@@ -120,11 +118,11 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
                 ]
             )
             free = model.C @ np.linalg.matrix_power(model.A, i) @ x - case.reference
-            H += effect.T @ case.Q @ effect
-            g += effect.T @ case.Q @ free
+            H += effect.T @ case.problem.Q @ effect
+            g += effect.T @ case.problem.Q @ free
         sums = np.kron(np.tri(N_c), np.eye(n_f)) * np.tile(du, N_c)
-        W = np.kron(np.eye(N_c), case.steered.W)
-        H += np.diag(np.tile(np.diag(case.R) * du**2, N_c)) + sums.T @ W @ sums
+        W = np.kron(np.eye(N_c), case.controller.commanded.W)
+        H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c)) + sums.T @ W @ sums
         g += sums.T @ W @ np.tile(f, N_c)
         rows, base = np.kron(np.eye(N_c), G) @ sums / 1e3, np.tile(G @ f, N_c) / 1e3
         high, low = (np.tile(side, N_c) / 1e3 - base for side in (control.u_max, control.u_min))
@@ -155,10 +153,9 @@ def test_every_form_steers_as_the_exact_loop_does(
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
-    limits = QPBuilder(case).u_min, QPBuilder(case).u_max
-    metrics = thruster_metrics(case, log.thrust, limits)
+    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
     assert metrics["limit_violations"] == 0.0
-    np.testing.assert_allclose(log.tau, case.forces(log.thrust), rtol=1e-12)
+    np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
 
 def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -> None:
@@ -168,7 +165,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     log = steered_by("daqp", lost)
     assert not log.flags.any()
     builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, (builder.u_min, builder.u_max))
+    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
     gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
@@ -190,7 +187,7 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
     clock = time.perf_counter_ns
     assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, (builder.u_min, builder.u_max))
+    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
     assert metrics["limit_violations"] == 0.0
 
 
@@ -204,7 +201,7 @@ SHIP = ThrusterSet(
 )
 ROWS = thruster_rows(SHIP, 8)
 STEP = SHIP.step_max(0.3)
-LIMIT = limit_of(CondensedQP(scenario().control_problem()))
+LIMIT = scenario().controller.move_limit()
 
 
 @settings(derandomize=True, max_examples=200)
@@ -219,9 +216,9 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
     """Any move from any allowed force: rate, rows or the way back; and a good move is untouched."""
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    low, high = ROWS.without(lost)
+    limits = low, high, _ = ROWS.without(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
-    clipped = LIMIT(f, df, low, high, applied)
+    clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()
     before, after = ROWS.G @ f, ROWS.G @ applied
     # The polygon of a lost thruster never grows again: the share of it that holds the force.
@@ -257,8 +254,7 @@ def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
     f = np.zeros((4, 7))
     f[:, 6] = [55e3, 55e3, -55e3, -55e3]
     f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
-    limits = np.tile(ROWS.low, (4, 1)), np.tile(ROWS.high, (4, 1))
-    metrics = thruster_metrics(case, f, limits)
+    metrics = thruster_metrics(case, f, [ROWS.intact] * 4)
     assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
     most = 2 * 190**1.5 + 140**1.5 + 110**1.5
     assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)

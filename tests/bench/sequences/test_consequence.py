@@ -43,7 +43,7 @@ assert RATOWNIK is not None
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
     """The QP of one force after the loss of a group."""
     rows = thruster_rows(thrusters, SIDES)
-    low, high = rows.without(set(thrusters.groups[group]))
+    low, high, _ = rows.without(set(thrusters.groups[group]))
     allocation = LossAllocation(thrusters, rows)
     l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
     return allocation.problem(l[0], u[0])
@@ -151,9 +151,9 @@ def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
 def test_what_the_run_has_lost_stays_lost() -> None:
     """From the fault on, no thruster of board A pushes in any QP; before, those of the group."""
     case = load_scenario("thrusters_loss")
-    (fault,) = (k for k, _, _ in case.faults)
-    assert case.steered is not None
-    thrusters = case.steered.thrusters
+    (fault,) = (k for k, _ in case.controller.changes)
+    assert case.controller.commanded is not None
+    thrusters = case.controller.commanded.thrusters
     entries = {
         group: thrusters.per_entry([i in thrusters.groups[group] for i in range(5)]) > 0.0
         for group in GROUPS
@@ -173,8 +173,8 @@ def test_a_cascade_has_an_analysis_too() -> None:
     """Of the thrusters that its second QP commands: without one of them the calm is held, and a
     force that takes them all is not."""
     case = load_scenario("thrusters_cascade")
-    assert case.commanded is not None
-    thrusters = case.commanded.thrusters
+    assert case.controller.commanded is not None
+    thrusters = case.controller.commanded.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
     for group in thrusters.groups:
         sequence = consequence_sequence(case, tau, group)

@@ -63,7 +63,11 @@ def test_bounds_in_si_are_the_rate_limits(tmp_path: Path) -> None:
     """Of the vessel: N, N and N·m per sample, for each move."""
     scenario = load_scenario("paper")
     found = load_sequence(saved("paper", tmp_path / "one.npz"), units="si")
-    np.testing.assert_allclose(found.base.ub, np.tile(scenario.du_max, scenario.N_c), rtol=1e-15)
+    np.testing.assert_allclose(
+        found.base.ub,
+        np.tile(scenario.problem.du_max, scenario.problem.N_c),
+        rtol=1e-15,
+    )
 
 
 def test_read_in_si_and_written_it_is_the_same_file(tmp_path: Path) -> None:

@@ -255,7 +255,11 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
     """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
     scenario = SearchSpace(own, 20, "case").scenario(point)
-    assert (scenario.steps, scenario.N_p, scenario.name) == (20, own.N_p, "case")
+    assert (scenario.steps, scenario.problem.N_p, scenario.name) == (
+        20,
+        own.problem.N_p,
+        "case",
+    )
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
     assert (np.abs(scenario.velocity) <= [1.0, 1.0, np.radians(1.0) + 1e-12]).all()
@@ -276,7 +280,10 @@ def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
     """A thruster that is lost after two minutes is lost at the moment the last number says."""
     space = SearchSpace(load_scenario("thruster_loss"), 20, "case")
     assert space.dimensions == 14
-    faults = [space.scenario(np.array([0.0] * 13 + [x])).faults[0][0] for x in (-1.0, 0.0, 1.0)]
+    faults = [
+        space.scenario(np.array([0.0] * 13 + [x])).controller.changes[0][0]
+        for x in (-1.0, 0.0, 1.0)
+    ]
     assert faults[0] == 0 and faults[1] in (9, 10) and faults[2] == 19
 
 

@@ -25,17 +25,16 @@ def case() -> Scenario:
 
 def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What each azimuth moves along and across its direction, in what it may (a,)."""
-    assert case.steered is not None
+    assert case.controller.commanded is not None
+    thrusters = case.controller.commanded.thrusters
     along, across = [], []
-    for thruster, at in zip(
-        case.steered.thrusters.thrusters, case.steered.thrusters.places, strict=True
-    ):
+    for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True):
         if thruster.kind != "azimuth":
             continue
         size = float(np.hypot(*f[at]))
         n = f[at] / size if size > 5e-11 * thruster.thrust_N else np.array([1.0, 0.0])
         most = max(size, 0.05 * thruster.thrust_N) * np.radians(12.0) * case.sample_s
-        along.append(abs(n @ move[at]) / case.du_max[at.start])
+        along.append(abs(n @ move[at]) / case.problem.du_max[at.start])
         across.append(abs(n[0] * move[at][1] - n[1] * move[at][0]) / most)
     return np.array(along), np.array(across)
 
@@ -50,17 +49,17 @@ def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, u
     f[4:6] = 0.0
     step = builder.emit(rng.normal(size=9), np.zeros(3), f)
     qp = builder.problem(step)
-    plain = CondensedQP(case.control_problem(), units=units)  # type: ignore[arg-type] # one of the two
-    shape = case.N_c, qp.m // case.N_c
+    plain = CondensedQP(case.problem, units=units)  # type: ignore[arg-type] # one of the two
+    shape = case.problem.N_c, qp.m // case.problem.N_c
     polygons = qp.A.reshape(*shape, -1)[:, :-6].reshape(plain.A.shape)
     np.testing.assert_allclose(polygons, plain.A, rtol=0, atol=1e-15)
-    assert shape[1] == plain.m // case.N_c + 6
+    assert shape[1] == plain.m // case.problem.N_c + 6
     seen = set()
     for _ in range(100):
-        plan = 1.5 * rng.uniform(-1, 1, (case.N_c, 8)) * case.du_max
+        plan = 1.5 * rng.uniform(-1, 1, (case.problem.N_c, 8)) * case.problem.du_max
         rows = qp.A @ builder.plan(plan)
         kept = ((rows <= qp.u) & (rows >= qp.l)).reshape(shape)[:, -6:]
-        for i in range(case.N_c):
+        for i in range(case.problem.N_c):
             along, across = arcs(case, f, plan[i])
             expected = np.stack((along <= 1.0, across <= 1.0), axis=-1).reshape(-1)
             np.testing.assert_array_equal(kept[i], expected)
@@ -88,15 +87,21 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
 ) -> None:
     """Rate of each entry, rate along the direction, arc across it."""
     case = load_scenario("thrusters_turning")
-    assert case.steered is not None
-    f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * case.du_max
-    turning = AzimuthTurning.of(case.steered.thrusters, case.sample_s)
-    kept = turning.kept(f, np.clip(move, -case.du_max, case.du_max), case.du_max)
-    assert (np.abs(kept) <= case.du_max * (1 + 1e-12)).all()
+    assert case.controller.commanded is not None
+    f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * case.problem.du_max
+    turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
+    kept = turning.kept(
+        f,
+        np.clip(move, -case.problem.du_max, case.problem.du_max),
+        case.problem.du_max,
+    )
+    assert (np.abs(kept) <= case.problem.du_max * (1 + 1e-12)).all()
     along, across = arcs(case, f, kept)
     assert (along <= 1 + 1e-9).all() and (across <= 1 + 1e-9).all()
     np.testing.assert_allclose(
-        turning.kept(f, kept, case.du_max), kept, atol=1e-9 * case.du_max.max()
+        turning.kept(f, kept, case.problem.du_max),
+        kept,
+        atol=1e-9 * case.problem.du_max.max(),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import quadprog
 
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import Referee, referee_of
 from dpbench.qp.residuals import is_true, residuals
@@ -32,7 +33,7 @@ def test_steps_of_a_scenario(name: str, drop: bool) -> None:
         x = 1e-3 * rng.normal(size=control.model.n_x)
         y_ref = rng.normal(size=3) * [3.0, 3.0, 0.1]
         u_prev = control.u_max * rng.uniform(0.7, 1.0, 3)
-        limits = (0.4 * control.u_min, 0.4 * control.u_max) if drop else None
+        limits = Limits(0.4 * control.u_min, 0.4 * control.u_max) if drop else None
         step = builder.emit(x, y_ref, u_prev, limits=limits)
         qp = builder.problem(step)
         optimum = referee.certify(step.q, step.l, step.u)

@@ -1,41 +1,47 @@
-"""From a move to the force that is applied within all limits (method.md section 3)."""
+"""From a planned move to the force that is applied: limits of rate and amplitude (method.md 3)."""
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.kernel_cache import njit
-from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import LimitRampDown, ThrusterRows
-from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows
 
 CLIP_TOLERANCE = 1e-9
 """In rate-limit steps: below it a violation is rounding, above it `clipped` is recorded."""
 
 
-class Limit(Protocol):
+class MoveLimit(Protocol):
     """Keeps a move to the limits, the applied force in `applied`; true if that changed anything.
 
-    u (n_u,) the force applied before; du (n_u,) the move; u_min, u_max (r,) limits in force.
+    u (n_u,) the force applied before; du (n_u,) the move; limits : those in force.
     """
 
-    def __call__(
-        self, u: Vector, du: Vector, u_min: Vector, u_max: Vector, applied: Vector
-    ) -> bool:
+    def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
         """Write the force that is applied."""
 
 
-def limit_of(builder: CondensedQP) -> Limit:
-    """How the moves of a controller are limited: forces axis by axis, thrusters each as a whole."""
-    problem = builder.control
+def move_limit(problem: ControlProblem) -> MoveLimit:
+    """Return what limits the moves of a problem: axis by axis, or rows of thrusters as a whole."""
     if problem.thrusters is None:
-        return partial(limit_move, problem.du_max)
-    turning = builder.turning if isinstance(builder, TurningQP) else None
-    return ThrusterLimit(problem.thrusters, problem.du_max, turning)
+        return AxisLimit(problem.du_max)
+    return ThrusterLimit(problem.thrusters, problem.du_max)
+
+
+class AxisLimit:
+    """Limits each axis of the force by itself (`limit_move`)."""
+
+    def __init__(self, du_max: Vector) -> None:
+        self._du_max = du_max
+
+    def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
+        """Write the force that is applied; true if that changed anything."""
+        clipped: bool = limit_move(self._du_max, u, du, limits.low, limits.high, applied)
+        return clipped
 
 
 @njit(cache=True)
@@ -59,7 +65,7 @@ def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped
 
 
 class ThrusterLimit:
-    """The same for thrusters, each as a whole (`thruster_rows`).
+    """Limits thrusters, each as a whole (`thruster_rows`).
 
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
@@ -67,33 +73,27 @@ class ThrusterLimit:
     nothing (`LimitRampDown`); b and the clipped move keep to the rate, so all between them do.
     """
 
-    def __init__(
-        self, rows: ThrusterRows, du_max: Vector, turning: AzimuthTurning | None = None
-    ) -> None:
-        self._rows, self._du_max, self._turning = rows, du_max, turning
+    def __init__(self, rows: ThrusterRows, du_max: Vector) -> None:
+        self._rows, self._du_max = rows, du_max
         self._row_max = rows.units(du_max)
         self._ramp_down = LimitRampDown(rows, du_max, self._row_max, 1)
         self._rounding = CLIP_TOLERANCE * self._row_max
 
-    def __call__(
-        self, u: Vector, du: Vector, u_min: Vector, u_max: Vector, applied: Vector
-    ) -> bool:
+    def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
         """Write the forces that are applied; true if that changed anything."""
         rows, du_max = self._rows, self._du_max
         before = rows.G @ u
+        u_min, u_max, _ = limits
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            closing = self._ramp_down.limits(u, u_min, u_max)
+            closing = self._ramp_down.limits(u, limits)
             u_min, u_max = (side[0] * self._row_max + before for side in closing)
-            lost = np.isin(rows.entry, rows.thruster[out])
+            beyond = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)
             back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
-            base = np.where(lost, back * u, u)
-        move = np.clip(du, -du_max, du_max)
-        if self._turning is not None:
-            move = self._turning.kept(u, move, du_max)
-        target = u + move
+            base = np.where(beyond, back * u, u)
+        target = u + self._at_rate(u, du)
         at_base, change = rows.G @ base, rows.G @ (target - base)
         room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
         share = np.full(len(room), 1.0)
@@ -103,3 +103,7 @@ class ThrusterLimit:
         np.minimum.at(t, rows.thruster, share)
         applied[...] = base + t[rows.entry] * (target - base)
         return bool((np.abs(applied - u - du) > CLIP_TOLERANCE * du_max).any())
+
+    def _at_rate(self, u: Vector, du: Vector) -> Vector:
+        """The move du (n_f,) cut to the rate limits, from u on."""
+        return np.clip(du, -self._du_max, self._du_max)

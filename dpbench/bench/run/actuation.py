@@ -1,0 +1,150 @@
+"""From the limited u of a step to the command of the ship and the force on it, by controller.
+
+A controller of forces commands u itself. One of thrusters commands their forces, T_e u is the force
+on the ship. A cascade allocates u to its thrusters; what they make of it becomes u.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.timed_solver import (
+    Clock,
+    TimedSolver,
+    is_usable,
+    record_answer,
+)
+from dpbench.scenario.controllers.cascade import CascadeController
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.controller import Controller
+from dpbench.ship.layout import AXES
+
+
+class Actuation:
+    """u is the command and the force.
+
+    Attributes
+    ----------
+    command : what the ship is commanded; tau (3,) : the force on it without its losses.
+    applied : where the log keeps the limited u of each step. The arrays are always the same.
+    """
+
+    def __init__(self, command: Vector, tau: Vector, applied: Matrix) -> None:
+        self.command, self.tau, self.applied = command, tau, applied
+
+    def prepare(self) -> None:
+        """Set up before the first step."""
+
+    def act(self, k: int) -> int:
+        """Bring command and force to the u of step k; the time a solver took for that [ns]."""
+        return 0
+
+
+class ThrusterActuation(Actuation):
+    """u are the forces of the thrusters."""
+
+    def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
+        super().__init__(u, np.zeros(AXES), log.thrust)
+        self._T_e, self._log = control.thrusters.T_e, log
+
+    def act(self, k: int) -> int:
+        """Bring the force to T_e u."""
+        self._T_e.dot(self.command, out=self.tau)
+        self._log.tau[k] = self.tau
+        return 0
+
+
+class Allocator(Actuation):
+    """Allocates u at each sample, by a QP or by the pseudo-inverse, and keeps to all limits.
+
+    Without a usable answer of the QP the pseudo-inverse acts.
+
+    Parameters
+    ----------
+    cascade : the controller; builder : of the run; log : where answers and forces go.
+    solver : of the QPs; None where the pseudo-inverse allocates.
+    u : (3,) the demanded force, and behind `act` what the thrusters make of it.
+    """
+
+    def __init__(
+        self,
+        cascade: CascadeController,
+        builder: QPBuilder,
+        log: RawLog,
+        solver: TimedSolver | None,
+        clock: Clock,
+        u: Vector,
+    ) -> None:
+        problem = cascade.allocation
+        super().__init__(np.zeros(len(problem.df_max)), u, log.demand)
+        self._builder, self._log, self._solver, self._clock = builder, log, solver, clock
+        self._T_e, self._limit = problem.T_e, cascade.control.move_limit(problem.df_max)
+        losses = ((k, problem.pseudo_inverse(limits.lost)) for k, limits in cascade.losses)
+        self._inverses: list[tuple[int, Matrix]] = [(0, problem.pseudo_inverse()), *losses]
+
+    def prepare(self) -> None:
+        """Set up the solver before the first step."""
+        answers = self._log.allocation
+        if self._solver is not None and answers is not None:
+            answers.setup_once_ns[0] = self._solver.prepare()
+
+    def act(self, k: int) -> int:
+        """Bring the command to what makes u, and u to T_e of it; the time of an answer [ns]."""
+        log, f, demand, spent_ns = self._log, self.command, self.tau, 0
+        missing = unfinished = False
+        if self._solver is None:
+            move = self._by_pseudo_inverse(k, demand)
+        else:
+            answer, unfinished, spent_ns = self._solved(k, demand, self._solver)
+            missing = answer is None
+            move = self._by_pseudo_inverse(k, demand) if answer is None else answer
+        clipped = self._limit(f, move, self._builder.thruster_limits[k], log.thrust[k])
+        f[...] = log.thrust[k]
+        log.flags[k] |= np.array((missing, unfinished, clipped), dtype=np.uint8)
+        self._T_e.dot(f, out=self.tau)
+        log.tau[k] = self.tau
+        return spent_ns
+
+    def _solved(
+        self, k: int, demand: Vector, solver: TimedSolver
+    ) -> tuple[Vector | None, bool, int]:
+        """Δf (n_f,) of the QP, None without a usable answer; if it is unfinished; its time [ns]."""
+        builder, answers = self._builder.allocation, self._log.allocation
+        assert builder is not None and answers is not None, "a QP allocates"
+        t0 = self._clock()
+        step = solver.formulate(self._builder.allocate(k, demand, self.command))
+        t1 = self._clock()
+        solution = solver.answer(step)
+        spent_ns = self._clock() - t1
+        answers.times[0, k] = (t1 - t0, *solver.phases_ns, -1)
+        record_answer(answers, 0, k, solution, solver.waited_ns)
+        answers.matrix_updates[0] = solver.matrix_updates
+        if is_usable(solution):
+            return builder.moves(solution.z), solution.status.is_unfinished, spent_ns
+        solver.reset()
+        return None, False, spent_ns
+
+    def _by_pseudo_inverse(self, k: int, demand: Vector) -> Vector:
+        """Δf (n_f,) to the forces of the pseudo-inverse, whatever the limits."""
+        inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
+        move: Vector = inverse @ demand - self.command
+        return move
+
+
+def actuate(
+    controller: Controller,
+    builder: QPBuilder,
+    log: RawLog,
+    solver: TimedSolver | None,
+    clock: Clock,
+    u: Vector,
+) -> Actuation:
+    """Return the actuation of a run, whose applied u (n_u,) is always in the same array."""
+    if isinstance(controller, CascadeController):
+        return Allocator(controller, builder, log, solver, clock, u)
+    if controller.commanded is not None:
+        return ThrusterActuation(controller.commanded, log, u)
+    return Actuation(u, u, log.tau)

@@ -1,0 +1,155 @@
+"""`Controller`: what a scenario and its runs ask of a controller, whatever it commands.
+
+A controller plans by a condensed QP of its `problem`. What differs between controllers is behind
+the members below: their QPs, how a move is limited, which forces were applied, what is known to be
+lost when, and which metrics apply. `kinds.py` names the classes by their key in a scenario file.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from dpbench.arrays import Matrix
+from dpbench.errors import InputError
+from dpbench.mpc.condense import ControlProblem, UnitSystem
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP, Form
+from dpbench.mpc.move_limits import MoveLimit, move_limit
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.mpc.thrusters.allocation_qp import AllocationQP
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.linearisation import Linearisation
+
+Changes = tuple[tuple[int, Limits], ...]
+"""(sample, limits) from which on these limits hold, in order of time."""
+MetricGroup = Literal["axis_limits", "joint_limits", "thrusters", "delivery"]
+"""Metrics that not every controller has: limits of each axis of the force, of the force as a whole,
+of thrusters and their wear, and force demanded but not delivered."""
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(ABC):
+    """A controller made ready for a ship.
+
+    Parameters
+    ----------
+    tuning : a name for horizons and weights.
+    problem : model at psi0_rad, horizons, weights and limits in SI units.
+    linearisation : whether the model is linearised once or at each step.
+    amplitude, outputs : policy of the amplitude limits; bounds on position and speed.
+    changes : of the limits of u, by faults.
+    """
+
+    tuning: str
+    problem: ControlProblem
+    psi0_rad: float
+    linearisation: Linearisation
+    amplitude: Amplitude
+    outputs: OutputBounds | None
+    changes: Changes
+
+    metric_groups: ClassVar[tuple[MetricGroup, ...]]
+    """The metrics that apply besides those of every run."""
+    allocates: ClassVar[bool] = False
+    """Whether the planned force is a demand, which is then allocated to thrusters."""
+    commands: ClassVar[str] = ""
+    """What stands behind the horizons in a description: ", thrusters"; "" for forces."""
+    why_no_delay: ClassVar[str] = ""
+    """Why late answers on a slow computer are not simulated; "" where they are."""
+
+    @property
+    def label(self) -> str:
+        """Tuning and horizons: "robust 60/10"."""
+        return f"{self.tuning} {self.problem.N_p}/{self.problem.N_c}"
+
+    @property
+    def description(self) -> str:
+        """Tuning, horizons and what is commanded, in a few words."""
+        return f"tuning {self.label}{self.commands}"
+
+    @property
+    def commanded(self) -> ThrusterControl | None:
+        """The thrusters that are commanded, planned or allocated; None where axes are."""
+        return None
+
+    @property
+    def n_f(self) -> int:
+        """Entries of the commanded thrusters' forces; 0 where axes of the force are commanded."""
+        return 0 if self.commanded is None else self.commanded.thrusters.n_f
+
+    def build_qp(self, units: UnitSystem = "scaled") -> CondensedQP:
+        """Return the builder of the condensed QPs."""
+        return self.linearisation.condense(self.problem, **self._form(units))
+
+    def _form(self, units: UnitSystem) -> Form:
+        return {"units": units, "amplitude": self.amplitude, "outputs": self.outputs}
+
+    def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:
+        """Return the builder of the same QPs with the states kept; InputError, naming `where`."""
+        why = self.why_no_sparse_form
+        if why or self.amplitude == "soft":
+            allowed = "a scenario without layers and with one model"
+            raise InputError(where, "formulation", why, allowed)
+        return StagedQP(self.problem, units=units, amplitude=self.amplitude)
+
+    @property
+    def why_no_sparse_form(self) -> str:
+        """Why the QPs have no formulation with the states kept; "" where they have."""
+        if self.linearisation.why_no_sparse_form:
+            return self.linearisation.why_no_sparse_form
+        if self.amplitude == "soft" or self.outputs is not None:
+            return "sparse: soft limits and output bounds are layers on the condensed problem"
+        return ""
+
+    def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
+        """Return the builder of the second QPs, which allocate the planned force; None without."""
+        return None
+
+    def move_limit(self) -> MoveLimit:
+        """Return what limits the moves of a run."""
+        return move_limit(self.problem)
+
+    @property
+    def built_in_limits(self) -> Limits | None:
+        """The limits that need not be handed over to a builder, as they are in its QPs."""
+        return self.problem.limits
+
+    def limits(self, samples: int) -> list[Limits]:
+        """Return the limits of u, or of its rows, in force at each sample."""
+        return limits_at_samples(self.problem.limits, self.changes, samples)
+
+    def thruster_limits(self, samples: int) -> list[Limits]:
+        """Return the limits of the commanded thrusters at each sample; none where axes are."""
+        return []
+
+    @abstractmethod
+    def force(self, u: Matrix) -> Matrix:
+        """Return the force on the ship τ (..., 3) of u (..., n_u)."""
+
+    @abstractmethod
+    def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+        """Return what was applied of u (K, n_u): of a run's τ (K, 3) and f (K, n_f) one."""
+
+    def as_baseline_law(self) -> Controller:
+        """Return the controller as the baseline law runs it, without a QP anywhere."""
+        return self
+
+
+def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limits]:
+    """Return the limits at each sample: `own` until the first change, and its from then on."""
+    limits = [own] * samples
+    for k, changed in changes:
+        limits[k:] = [changed] * len(limits[k:])
+    return limits
+
+
+def limit_tables(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
+    """Return low and high (K, r) of the limits at K samples."""
+    low, high, _ = zip(*limits, strict=True)
+    return np.array(low), np.array(high)

@@ -1,0 +1,77 @@
+"""The controllers that command a force in surge, sway and yaw, as the paper's."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.scenario.controllers.controller import Changes, Controller, MetricGroup
+from dpbench.scenario.controllers.specification import ControllerSpec
+
+
+class ForceController(Controller):
+    """u is the force τ (3,), each axis of it with a limit of its own."""
+
+    metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("axis_limits",)
+
+    @classmethod
+    def of(cls, spec: ControllerSpec) -> ForceController:
+        """Return the controller of a scenario file, of the class that its limits want."""
+        spec.check_faults(lost=spec.table.limits != "box", limit_share=spec.table.limits == "box")
+        problem, changes = force_plan(spec)
+        wanted = ForceController if problem.thrusters is None else JointForceController
+        return wanted(problem=problem, changes=changes, **spec.planning)
+
+    def force(self, u: Matrix) -> Matrix:
+        """Return u itself."""
+        return u
+
+    def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+        """Return the force."""
+        return tau
+
+
+class JointForceController(ForceController):
+    """u is the force τ (3,), limited as a whole by what the ship's thrusters attain together."""
+
+    metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("joint_limits",)
+
+
+def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
+    """Return the problem of a plan of forces, and how faults change its limits.
+
+    Raises
+    ------
+    InputError : for limits = "attainable" in a vessel without thrusters.
+    """
+    ship = spec.vessel
+    R, du_max = np.diag(_move_weight(spec)), ship.step_max(spec.sample_s)
+    if spec.table.limits == "box":
+        limits = Limits(ship.tau_min, ship.tau_max)
+        rows, changes = (
+            None,
+            tuple(
+                (k, Limits(share * ship.tau_min, share * ship.tau_max))
+                for k, share in spec.limit_shares
+            ),
+        )
+    else:
+        thrusters = spec.thrusters("limits", "attainable", "box")
+        attainable = attainable_set(thrusters, spec.table.attainable_sides)
+        rows = attainable.rows()
+        limits = rows.intact
+        changes = tuple((k, attainable.limits(lost)) for k, lost in spec.losses)
+    return spec.problem(limits, du_max, R, rows=rows), changes
+
+
+def _move_weight(spec: ControllerSpec) -> Vector:
+    table = spec.table
+    if table.move_weight_relative is not None:
+        return np.array(table.move_weight_relative) / spec.vessel.step_max(spec.sample_s) ** 2
+    assert table.move_weight is not None, "the table demands one of the two"
+    return np.array(table.move_weight) / spec.scale.force**2

@@ -1,0 +1,163 @@
+"""What a controller is made from, and what all of them take from it alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.condensed_qp import Amplitude
+from dpbench.mpc.model import StateSpace, prediction_model
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
+from dpbench.scenario.controllers.linearisation import (
+    FIXED_MODEL,
+    Linearisation,
+    relinearised_model,
+)
+from dpbench.scenario.tables.scenario_file import (
+    ControllerTable,
+    FaultTable,
+    ScenarioFile,
+    ThrusterControlTable,
+)
+from dpbench.ship.froude import Froude
+from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.vessel import Vessel
+
+
+class Planning(TypedDict):
+    """Arguments of `Controller` that say how it plans."""
+
+    tuning: str
+    psi0_rad: float
+    linearisation: Linearisation
+    amplitude: Amplitude
+    outputs: OutputBounds | None
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerSpec:
+    """Tables and ship of a controller.
+
+    Parameters
+    ----------
+    file : of the scenario; vessel : the ship as the controller knows it; sample_s : ΔT [s].
+    scale : Froude's, of the ship; where : the file named in errors.
+    """
+
+    file: ScenarioFile
+    vessel: Vessel
+    sample_s: float
+    scale: Froude
+    where: str
+
+    @property
+    def table(self) -> ControllerTable:
+        """The controller's own table."""
+        return self.file.controller
+
+    @property
+    def thruster_table(self) -> ThrusterControlTable:
+        """The table of a controller that commands thrusters."""
+        assert self.table.thrusters is not None, "the table demands it"
+        return self.table.thrusters
+
+    @property
+    def planning(self) -> Planning:
+        """How the controller plans."""
+        table, psi0_rad = self.table, self._psi0_rad
+        each_step = table.linearisation == "each_step"
+        return {
+            "tuning": table.tuning,
+            "psi0_rad": psi0_rad,
+            "linearisation": relinearised_model(psi0_rad) if each_step else FIXED_MODEL,
+            "amplitude": table.amplitude,
+            "outputs": self._outputs,
+        }
+
+    def problem(
+        self,
+        limits: Limits,
+        du_max: Vector,
+        R: Matrix,
+        *,
+        rows: ThrusterRows | None = None,
+        T_e: Matrix | None = None,
+        W: Matrix | None = None,
+    ) -> ControlProblem:
+        """Return the problem of u with these limits and weights; the force is u, or T_e u."""
+        ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
+        model = prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
+        if T_e is not None:
+            model = StateSpace(model.A, model.B @ T_e, model.C)
+        horizons = table.prediction_horizon, table.control_horizon
+        Q = np.diag(np.array(table.output_weight) / self.scale.pose**2)
+        sides = limits.low, limits.high, du_max
+        return ControlProblem(model, *horizons, Q, R, *sides, table.terminal, rows, W)
+
+    @property
+    def _psi0_rad(self) -> float:
+        return float(np.radians(self.table.model_heading_deg))
+
+    @property
+    def _outputs(self) -> OutputBounds | None:
+        table = self.table.outputs
+        if table is None:
+            return None
+        return OutputBounds(
+            self.sample_s,
+            None if table.radius_m is None else table.radius_m * self.scale.length,
+            None if table.speed_mps is None else table.speed_mps * self.scale.time,
+        )
+
+    def thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
+        """Return the vessel's thrusters; InputError for the value of a key that needs them."""
+        if self.vessel.thrusters is None:
+            allowed = f'"{otherwise}", or thrusters in the file of vessel {self.vessel.id}'
+            raise InputError(self.where, f"controller.{key}", f'"{value}"', allowed)
+        return self.vessel.thrusters
+
+    def check_faults(self, *, lost: bool, limit_share: bool) -> None:
+        """Raise InputError for a fault of a kind that the controller does not know."""
+        for i, (_, fault) in enumerate(self._faults):
+            if not (lost if fault.lost is not None else limit_share):
+                found = "lost" if fault.lost is not None else "limit_share"
+                allowed = (
+                    "lost where thrusters limit the force or are commanded, limit_share where each "
+                    "axis of the force has a limit of its own"
+                )
+                raise InputError(self.where, f"faults.{i}", found, allowed)
+
+    @property
+    def limit_shares(self) -> list[tuple[int, Vector]]:
+        """(sample, shares (3,) of the vessel's limits) of the faults that change these."""
+        return [
+            (k, np.array(fault.limit_share))
+            for k, fault in self._faults
+            if fault.limit_share is not None
+        ]
+
+    @property
+    def losses(self) -> list[tuple[int, set[int]]]:
+        """(sample, numbers of lost thrusters) of each fault; what was lost before stays lost."""
+        losses: list[tuple[int, set[int]]] = []
+        lost: set[int] = set()
+        for i, (k, fault) in enumerate(self._faults):
+            if fault.lost is not None:
+                assert self.vessel.thrusters is not None, "known by now"
+                lost = lost | self.vessel.thrusters.numbers(
+                    fault.lost, self.where, f"faults.{i}.lost"
+                )
+                losses.append((k, lost))
+        return losses
+
+    @property
+    def _faults(self) -> list[tuple[int, FaultTable]]:
+        """(sample, fault) in order of time."""
+        in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
+        return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]
