@@ -27,7 +27,7 @@ from dpbench.bench.run.footprint import peak_bytes_of
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import sigint_blocked
-from dpbench.bench.workers.orphans import end_below, end_orphans, signal_process
+from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
 from dpbench.temporary_folders import keep_sockets
@@ -377,7 +377,9 @@ def _start(process: ForkServerProcess) -> None:
                 raise NoProcessError(f"{why}; finished cells are kept") from error
             # It may have forked the process and not lived to tell: that ends with it.
             end_below(_keeper())
-            _ends(_keeper())
+            # While the old one lives the next attempt gets no other template, and fails as well.
+            if not _ends(_keeper(), END_S):
+                _end(_keeper())
 
 
 def _keeper() -> int:
@@ -402,14 +404,14 @@ def _end(pid: int) -> None:
     _ends(pid)
 
 
-def _ends(pid: int) -> bool:
-    """Whether a process is gone, or will be at once."""
+def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
+    """Whether a process is gone, or will be soon."""
     try:
         process = os.pidfd_open(pid)
     except OSError:
         return True
     try:
-        return bool(wait([process], _DYING_S))
+        return bool(wait([process], wait_s))
     finally:
         os.close(process)
 
