@@ -171,7 +171,7 @@ def test_finished_cells_are_not_run_again(folder: Path) -> None:
 def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
     """An unknown suite, solver or scenario is one line, and nothing is written."""
     out = tmp_path / "out"
-    with pytest.raises(UnknownNameError, match=r"one of .*standard"):
+    with pytest.raises(UnknownNameError, match=r"allowed: .*standard"):
         run_campaign("standrad", out)
     with pytest.raises(UnknownNameError, match="quadprog"):
         run_campaign("smoke", out, solvers=["quadprgo"])
