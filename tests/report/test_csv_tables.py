@@ -80,7 +80,7 @@ def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
     facts = written.report.facts
     table = _table(written.folder, "places")
     solvers, levels = len(facts.verdicts.of), len(facts.levels)
-    assert len(table) == solvers * levels * len(facts.places)
+    assert len(table) == solvers * levels * len(facts.experiments)
     for row in table.to_dict("records"):
         assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
 

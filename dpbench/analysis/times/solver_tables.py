@@ -1,6 +1,6 @@
 """Tables of solvers: verdicts, times, tiles of solver and place, accuracy against time, hard steps.
 
-A configuration and a place are told by their numbers in `PlacedRuns`, as text, where a table has
+A configuration and a place are told by their numbers in `RunMatrix`, as text, where a table has
 `id` and `place_id`; −1 is a configuration that was not run.
 """
 
@@ -20,7 +20,7 @@ from dpbench.analysis.times.machine import calling_ns
 from dpbench.analysis.times.pairs import log_reach, paired_comparison
 from dpbench.analysis.times.work_precision import LevelPoint, level_points
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
-from dpbench.analysis.verdict.places import PlacedRuns
+from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 
@@ -34,7 +34,7 @@ def way_of(configuration: Configuration) -> dict[str, str]:
     return {name: getattr(configuration, name) for name in names}
 
 
-def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
+def verdict_table(placed: RunMatrix) -> pd.DataFrame:
     """Every configuration held against the demand over all its runs; times in µs."""
     return pd.DataFrame(
         [
@@ -62,7 +62,7 @@ def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
     )
 
 
-def _margin_columns(placed: PlacedRuns, verdict: Verdict) -> dict[str, Any]:
+def _margin_columns(placed: RunMatrix, verdict: Verdict) -> dict[str, Any]:
     """Return the speed margin of a configuration, and the step that bounds each of its parts."""
     margin = placed.margin(verdict.configuration)
     if margin is None:
@@ -87,7 +87,7 @@ margin, see `speed_margin.py`. `share`: part of the median that calling the libr
 calibration configuration that only copies; 0 where it was not run."""
 
 
-def time_table(placed: PlacedRuns) -> pd.DataFrame:
+def time_table(placed: RunMatrix) -> pd.DataFrame:
     """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
     called_ns = calling_ns(placed.records)
     rows = [
@@ -111,12 +111,12 @@ def time_table(placed: PlacedRuns) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
-def _longest_ms(placed: PlacedRuns, verdict: Verdict) -> float:
+def _longest_ms(placed: RunMatrix, verdict: Verdict) -> float:
     longest = placed.longest_timing(verdict.configuration)
     return nan if longest is None else longest[1].raw_max_ns / 1e6
 
 
-def tile_table(placed: PlacedRuns) -> pd.DataFrame:
+def tile_table(placed: RunMatrix) -> pd.DataFrame:
     """Solver × place × settings, of each solver in the way of its best configuration, so that of
     the one to use these are its own places."""
     best = {v.configuration.solver: v.configuration for v in best_of_each(placed.verdicts)}
@@ -126,12 +126,12 @@ def tile_table(placed: PlacedRuns) -> pd.DataFrame:
             _tile(placed, replace(way, settings=level), p)
             for way in ways
             for level in placed.levels
-            for p in placed.judged_places
+            for p in placed.judged_experiments
         ]
     )
 
 
-def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
+def _tile(placed: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
     c = placed.index(wanted)
     run, verdict = placed.runs.get((c, p)), placed.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
@@ -139,7 +139,7 @@ def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
         "solver": wanted.solver,
         "settings": wanted.settings,
         "way": f"{wanted.route} {wanted.policy}",
-        "place": placed.places[p].label,
+        "place": placed.experiments[p].label,
         "state": placed.state(c, p),
         "error": None if run is None else run.error_move_max,
         "failed": None if run is None else run.failed_steps,
@@ -149,7 +149,7 @@ def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
     }
 
 
-def level_table(placed: PlacedRuns) -> pd.DataFrame:
+def level_table(placed: RunMatrix) -> pd.DataFrame:
     """Error and time at each settings level of each solver, in the way of its best configuration;
     no row for an answer beyond `LARGEST_ERROR`."""
     best = (v.configuration for v in best_of_each(placed.verdicts))
@@ -166,7 +166,7 @@ def level_table(placed: PlacedRuns) -> pd.DataFrame:
 
 
 def _point(
-    placed: PlacedRuns, point: LevelPoint, states: Mapping[Configuration, str]
+    placed: RunMatrix, point: LevelPoint, states: Mapping[Configuration, str]
 ) -> dict[str, Any]:
     judged = point.configuration.in_common_formulation
     return way_of(point.configuration) | {
@@ -179,7 +179,7 @@ def _point(
     }
 
 
-def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
+def hard_step_table(placed: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
     """The hardest steps of every run outside studies by each measure; times in µs.
 
     Parameters
@@ -189,7 +189,7 @@ def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataF
     labels = {
         run.run_id: placed.configurations[c].label
         for (c, p), run in placed.runs.items()
-        if not placed.places[p].study
+        if not placed.experiments[p].study
     }
     rows = [
         {"run_id": run_id, "configuration": labels[run_id], "by": measure}
@@ -203,7 +203,7 @@ def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataF
     return pd.DataFrame(rows)
 
 
-def ratio_table(placed: PlacedRuns) -> pd.DataFrame:
+def ratio_table(placed: RunMatrix) -> pd.DataFrame:
     """How many times as long each solver's best configuration takes as the fastest of them, step
     by step, with the interval of the mean."""
     timed = fastest_first([v for v in best_of_each(placed.verdicts) if v.timed_on])
@@ -211,11 +211,14 @@ def ratio_table(placed: PlacedRuns) -> pd.DataFrame:
     return pd.DataFrame([pair.row for pair in pairs])
 
 
-def pair_reaches(placed: PlacedRuns) -> tuple[list[int], list[float]]:
+def pair_reaches(placed: RunMatrix) -> tuple[list[int], list[float]]:
     """The configurations that were timed, and of any two of them, (0, 1), (0, 2), ... (1, 2), ...,
     how far the 95 % interval of their paired ratio reaches, see `log_reach`."""
     timed: dict[int, dict[int, StepTimes]] = {}
     for (c, p), run in placed.runs.items():
-        if placed.places[p].mode == "replay" and (times := placed.records.times(run)) is not None:
+        if (
+            placed.experiments[p].mode == "replay"
+            and (times := placed.records.times(run)) is not None
+        ):
             timed.setdefault(c, {})[p] = times
     return list(timed), [log_reach(*two) for two in combinations(timed.values(), 2)]

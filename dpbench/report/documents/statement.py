@@ -109,8 +109,8 @@ def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
         slower=slower_text(facts, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         places=[
-            facts.places[p].label
-            for p in facts.judged_places
+            facts.experiments[p].label
+            for p in facts.judged_experiments
             if facts.state(facts.index(c), p) == "meets"
         ],
         machine=defaultdict(str, results.machine),

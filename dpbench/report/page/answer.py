@@ -221,13 +221,18 @@ def _chips(facts: Facts, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = facts.index(first)
-    places = facts.judged_places
+    places = facts.judged_experiments
     states = [facts.state(c, p) for p in places]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{_said(state)}{_otherwise(facts, first, p)}", marks[state], facts.places[p].label, p)
+        Chip(
+            f"{_said(state)}{_otherwise(facts, first, p)}",
+            marks[state],
+            facts.experiments[p].label,
+            p,
+        )
         for p, state in zip(places, states, strict=True)
         if state not in counted
     ]

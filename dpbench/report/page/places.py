@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.report.formats import share_text
 from dpbench.report.page.facts import Facts
 from dpbench.report.page.terms import Word
@@ -23,11 +23,16 @@ def place_words(facts: Facts) -> dict[int, Word]:
     for (_, p), run in facts.runs.items():
         if p not in first or not first[p].has_steps:
             first[p] = run
-    named = {p: _said(facts, facts.places[p], first[p]) for p in facts.judged_places[:MOST_PLACES]}
-    return {p: Word(f"place-{p}", facts.places[p].label, said) for p, said in named.items() if said}
+    named = {
+        p: _said(facts, facts.experiments[p], first[p])
+        for p in facts.judged_experiments[:MOST_PLACES]
+    }
+    return {
+        p: Word(f"place-{p}", facts.experiments[p].label, said) for p, said in named.items() if said
+    }
 
 
-def _said(facts: Facts, place: Place, run: RunRecord) -> str:
+def _said(facts: Facts, place: Experiment, run: RunRecord) -> str:
     scenario = facts.scenario(run) if run.scenario else None
     if scenario is None:
         return ""

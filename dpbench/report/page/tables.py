@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.facts import Facts, number
 
@@ -119,12 +119,12 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
 
 def _demand(facts: Facts, key: tuple[int, int] | None) -> str:
     """What a run alone says of the demand; "" of one that is not judged by it."""
-    return "" if key is None or facts.places[key[1]].study else facts.state(*key)
+    return "" if key is None or facts.experiments[key[1]].study else facts.state(*key)
 
 
 def _where(run: RunRecord) -> str:
     """Where a run was, as the page calls it, however slow the computer."""
-    return replace(Place.of(run), slowdown=0.0).label
+    return replace(Experiment.of(run), slowdown=0.0).label
 
 
 def _shown(name: str) -> dict[str, Any]:

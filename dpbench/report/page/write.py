@@ -25,7 +25,7 @@ from dpbench.analysis.times.solver_tables import (
     way_of,
 )
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, known_record
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results, hashes
@@ -180,7 +180,7 @@ def charts_of(facts: Facts) -> dict[str, Any]:
     nothing = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STRIP_COLUMNS))
     charts["strips"] = strips(no_steps, nothing, facts.demand.error_move)
-    replayed = [c for (c, p) in facts.runs if facts.places[p].mode == "replay"]
+    replayed = [c for (c, p) in facts.runs if facts.experiments[p].mode == "replay"]
     if replayed:
         charts["strips_replay"] = strips(no_steps, None, facts.demand.error_move)
     if len(set(replayed)) > 1:
@@ -255,7 +255,7 @@ def _margin(facts: Facts, c: Configuration) -> dict[str, Any]:
         return {"margin": None, "bounds": []}
     loops = {
         place.name: p
-        for p, place in enumerate(facts.places)
+        for p, place in enumerate(facts.experiments)
         if (place.mode, place.units, place.study) == ("closed_loop", "scaled", "")
         and not place.slowdown
     }
@@ -272,7 +272,7 @@ def _longest(facts: Facts, c: Configuration) -> dict[str, Any]:
     place, run = facts.longest_timing(c) or (None, None)
     if place is None or run is None:
         return {"longest": None, "longest_at": None}
-    return {"longest": number(run.raw_max_ns), "longest_at": facts.places.index(place)}
+    return {"longest": number(run.raw_max_ns), "longest_at": facts.experiments.index(place)}
 
 
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
@@ -312,11 +312,11 @@ def _places(facts: Facts, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
         _place(facts, place, facts.first_runs.get(p)) | shows.get(p, {})
-        for p, place in enumerate(facts.places)
+        for p, place in enumerate(facts.experiments)
     ]
 
 
-def _place(facts: Facts, place: Place, run: RunRecord | None) -> dict[str, Any]:
+def _place(facts: Facts, place: Experiment, run: RunRecord | None) -> dict[str, Any]:
     said: dict[str, Any] = {"label": place.label, "mode": place.mode, "trial": place.units == "si"}
     if place.study:
         said |= {"study": place.study, "point": place.point, "sea": place.replicate}
@@ -349,7 +349,7 @@ def _matrix_said(facts: Facts) -> str:
     tiles = tile_table(facts)
     there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
-    if any(facts.places[p].units == "si" for p in facts.judged_places):
+    if any(facts.experiments[p].units == "si" for p in facts.judged_experiments):
         said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(facts, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} places that miss it most"
@@ -359,7 +359,7 @@ def _matrix_said(facts: Facts) -> str:
 
 def _wrong_in_si(facts: Facts, tiles: pd.DataFrame) -> str:
     """What who gives a solver such a QP has to know: how many are then wrong at their defaults."""
-    unscaled = [str(p) for p in facts.judged_places if facts.places[p].units == "si"]
+    unscaled = [str(p) for p in facts.judged_experiments if facts.experiments[p].units == "si"]
     ran = tiles[tiles["place_id"].isin(unscaled) & tiles["state"].ne("not run")]
     asked = ran[ran["settings"] == "default"]
     wrong = asked.loc[asked["state"] == "wrong", "solver"].nunique()

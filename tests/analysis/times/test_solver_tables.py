@@ -8,14 +8,14 @@ import pytest
 
 from dpbench.analysis.times.solver_tables import tile_table, time_table
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.places import PlacedRuns
+from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.solvers.calibration import COPY_ONLY
 
 
-def _placed(records: Any) -> PlacedRuns:
+def _placed(records: Any) -> RunMatrix:
     view = records.view()
-    return PlacedRuns.placed(view, verdicts_of(view, Demand()), [], 0)
+    return RunMatrix.from_records(view, verdicts_of(view, Demand()), [], 0)
 
 
 def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:

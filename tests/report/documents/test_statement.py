@@ -98,7 +98,7 @@ def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: An
     """Every place that was held is named, and the limits of the claim stand on the page."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.facts, written.report.answer.first
-    for p, place in enumerate(facts.places):
+    for p, place in enumerate(facts.experiments):
         if facts.state(facts.index(first), p) == "meets":
             assert place.label in text
     assert "Not covered" in text and "Other vessels" in text

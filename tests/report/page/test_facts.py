@@ -26,7 +26,7 @@ def _facts(records: Any) -> Facts:
 
 def _state(facts: Facts, solver: str, place: str) -> str:
     (c,) = (i for i, one in enumerate(facts.configurations) if one.solver == solver)
-    (p,) = (i for i, one in enumerate(facts.places) if one.label == place)
+    (p,) = (i for i, one in enumerate(facts.experiments) if one.label == place)
     return facts.state(c, p)
 
 
@@ -37,7 +37,7 @@ def test_places_come_scenarios_first_and_si_last(records: Any) -> None:
     records.loop("daqp", "calm")
     records.loop("daqp", "paper")
     facts = _facts(records)
-    assert [place.label for place in facts.places] == [
+    assert [place.label for place in facts.experiments] == [
         "calm",
         "paper",
         "rough (in N and N·m)",
@@ -154,7 +154,7 @@ def test_a_place_is_said_in_the_words_of_its_scenario(records: Any) -> None:
     assert said["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
     window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
     assert window in said["rough[900:1400] (replay)"]
-    assert list(said) == [p.label for p in facts.places if p.name != "robot"]
+    assert list(said) == [p.label for p in facts.experiments if p.name != "robot"]
 
 
 def _of_window(records: Any) -> str:

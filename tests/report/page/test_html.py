@@ -127,7 +127,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
     document, arrays = unpacked(text.strip())
     facts = written.report.facts
     assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
-    assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
+    assert [place["label"] for place in document["places"]] == [p.label for p in facts.experiments]
     cells = document["cells"]
     assert len(cells["id"]) == len(facts.runs)
     for i in (0, len(cells["id"]) // 2):

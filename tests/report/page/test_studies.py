@@ -38,7 +38,7 @@ def test_it_opens_where_least_is_held(records: Any) -> None:
     facts = Report.of(of_seas(records).results()).facts
     assert facts.opening is not None
     c, p = facts.opening
-    place = facts.places[p]
+    place = facts.experiments[p]
     assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
     assert place.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and place.replicate == 2
     assert place.label == f"seas: point {place.point}, sea {place.replicate}"
@@ -51,7 +51,7 @@ def test_seas_enter_no_verdict(records: Any) -> None:
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
     report = Report.of(made.results())
-    assert [report.facts.places[p].label for p in report.facts.judged_places] == [
+    assert [report.facts.experiments[p].label for p in report.facts.judged_experiments] == [
         "calm",
         "calm (replay)",
     ]
@@ -69,6 +69,6 @@ def test_a_page_keeps_the_first_seas_of_all_points(
     monkeypatch.setattr(facts_of_page, "MOST_LOOPS", room)
     facts = Report.of(of_seas(records).results()).facts
     assert len(facts.runs) == room
-    assert {facts.places[p].replicate for _, p in facts.runs} == {1}
-    assert len(facts.places) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS
     assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS

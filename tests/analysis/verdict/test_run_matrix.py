@@ -9,19 +9,19 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.places import Place, PlacedRuns, placed_configuration
+from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
 from dpbench.analysis.verdict.verdict import verdicts_of
 
 DEMAND = Demand()
 
 
-def _placed(records: Any, kept: int = 0) -> PlacedRuns:
+def _placed(records: Any, kept: int = 0) -> RunMatrix:
     view = records.view()
-    return PlacedRuns.placed(view, verdicts_of(view, DEMAND), view.study, kept)
+    return RunMatrix.from_records(view, verdicts_of(view, DEMAND), view.study, kept)
 
 
-def _labels(placed: PlacedRuns) -> list[str]:
-    return [place.label for place in placed.places]
+def _labels(placed: RunMatrix) -> list[str]:
+    return [place.label for place in placed.experiments]
 
 
 def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
@@ -35,26 +35,26 @@ def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
 @pytest.mark.parametrize(
     ("place", "label"),
     [
-        (Place("closed_loop", "paper", "scaled"), "paper"),
-        (Place("replay", "paper", "scaled"), "paper (replay)"),
-        (Place("closed_loop", "paper", "si"), "paper (in N and N·m)"),
-        (Place("closed_loop", "paper", "scaled", 0.5), "paper (computer × 0.5)"),
-        (Place("closed_loop", "paper", "scaled", 20.0), "paper (computer × 20)"),
+        (Experiment("closed_loop", "paper", "scaled"), "paper"),
+        (Experiment("replay", "paper", "scaled"), "paper (replay)"),
+        (Experiment("closed_loop", "paper", "si"), "paper (in N and N·m)"),
+        (Experiment("closed_loop", "paper", "scaled", 0.5), "paper (computer × 0.5)"),
+        (Experiment("closed_loop", "paper", "scaled", 20.0), "paper (computer × 20)"),
         (
-            Place("closed_loop", "paper", "scaled", 0.0, "condensed_stacked"),
+            Experiment("closed_loop", "paper", "scaled", 0.0, "condensed_stacked"),
             "paper (condensed stacked)",
         ),
         (
-            Place("replay", "paper", "si", 2.5, "condensed_stacked"),
+            Experiment("replay", "paper", "si", 2.5, "condensed_stacked"),
             "paper (replay, in N and N·m, computer × 2.5, condensed stacked)",
         ),
         (
-            Place("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2),
+            Experiment("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2),
             "seas: point 3, sea 2",
         ),
     ],
 )
-def test_the_label_of_a_place(place: Place, label: str) -> None:
+def test_the_label_of_a_place(place: Experiment, label: str) -> None:
     """A label names what differs from a closed loop in scaled units."""
     assert place.label == label
 
@@ -62,12 +62,12 @@ def test_the_label_of_a_place(place: Place, label: str) -> None:
 def test_places_are_in_the_order_of_their_kind() -> None:
     """Loops precede replays, SI units follow both, studies are last."""
     ordered = [
-        Place("closed_loop", "z", "scaled"),
-        Place("closed_loop", "y", "si"),
-        Place("replay", "x", "scaled"),
-        Place("replay", "w", "si"),
-        Place("closed_loop", "b", "scaled", study="a"),
-        Place("replay", "a", "scaled", study="a"),
+        Experiment("closed_loop", "z", "scaled"),
+        Experiment("closed_loop", "y", "si"),
+        Experiment("replay", "x", "scaled"),
+        Experiment("replay", "w", "si"),
+        Experiment("closed_loop", "b", "scaled", study="a"),
+        Experiment("replay", "a", "scaled", study="a"),
     ]
     backwards = ordered[::-1]
     assert sorted(backwards, key=lambda place: place.order) == ordered
@@ -80,10 +80,14 @@ def test_the_place_of_each_kind_of_run(records: Any) -> None:
     records.replay("daqp", "paper[0:300]", steps=300)
     records.sea("daqp", 3, 2, {"hs_m": 1.0}, slowdown=4.0, formulation="sparse")
     loop, slow, replay, sea = records.view().all_runs
-    assert Place.of(loop, "sparse") == Place("closed_loop", "paper", "scaled", 0.0, "sparse")
-    assert Place.of(slow) == Place("closed_loop", "paper", "scaled", 0.5)
-    assert Place.of(replay) == Place("replay", "paper[0:300]", "scaled")
-    assert Place.of(sea, "sparse") == Place("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2)
+    assert Experiment.of(loop, "sparse") == Experiment(
+        "closed_loop", "paper", "scaled", 0.0, "sparse"
+    )
+    assert Experiment.of(slow) == Experiment("closed_loop", "paper", "scaled", 0.5)
+    assert Experiment.of(replay) == Experiment("replay", "paper[0:300]", "scaled")
+    assert Experiment.of(sea, "sparse") == Experiment(
+        "closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2
+    )
 
 
 @pytest.mark.parametrize(("first", "second", "kept"), [(120, 60, 0), (60, 120, 1), (120, 120, 0)])
@@ -117,7 +121,7 @@ def test_units_belong_to_the_place_of_a_configuration(records: Any) -> None:
     placed = _placed(records)
     assert _labels(placed) == ["paper", "paper (in N and N·m)", "paper (replay, in N and N·m)"]
     assert sorted(placed.runs) == [(0, 0), (0, 1), (0, 2)]
-    assert placed.configurations == [placed_configuration(records.view().runs[0])]
+    assert placed.configurations == [common_configuration(records.view().runs[0])]
     assert {c.units for c in placed.configurations} == {"scaled"}
     assert {p: run.run_id for p, run in placed.first_runs.items()} == {
         0: "run0002",
@@ -134,7 +138,7 @@ def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
     placed = _placed(records, kept=1)
     assert _labels(placed) == ["paper", "seas: point 0, sea 1", "seas: point 0, sea 2"]
     assert sorted(placed.runs) == [(0, 0), (1, 1)]
-    assert placed.judged_places == [0]
+    assert placed.judged_experiments == [0]
     assert placed.levels == ["default"]
     assert [c.solver for c in placed.configurations] == ["daqp", "scs"]
     assert [c.solver for c in placed.references] == ["daqp"]
@@ -216,7 +220,7 @@ def test_a_window_counts_in_the_loop_of_its_scenario(
     _window(records, "daqp", **columns)
     placed = _placed(records)
     assert _labels(placed) == ["paper", "paper (in N and N·m)", "paper (replay)"]
-    loop = placed.index(placed_configuration(placed.records.all_runs[0]))
+    loop = placed.index(common_configuration(placed.records.all_runs[0]))
     states = [placed.state(loop, p) for p in range(3)]
     assert states == [state, "meets", "meets"]
 
@@ -229,7 +233,9 @@ def test_the_replay_behind_a_p99(records: Any) -> None:
     placed = _placed(records)
     (verdict,) = placed.verdicts.references
     number = placed.timed_at(verdict)
-    assert number is not None and placed.places[number] == Place("replay", "paper", "scaled")
+    assert number is not None and placed.experiments[number] == Experiment(
+        "replay", "paper", "scaled"
+    )
 
 
 def test_without_a_replay_no_p99_has_a_place(records: Any) -> None:
