@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -50,9 +51,11 @@ class Delays:
     own_ns: Floats
     net_ns: Floats
     knows_waits: bool
+    _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
 
+    @cached_property
     def gross(self) -> Delays:
-        """Return the delays as if no wait were known."""
+        """The delays as if no wait were known."""
         return replace(self, net_ns=self.delay_ns, knows_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
@@ -65,9 +68,13 @@ class Delays:
 
         The duration is half a limit.
         """
-        excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
-        of_limit = OWN_SHARE * 2.0 * longer_than_ns
-        return self._count((excess_ns > longer_than_ns) & (net_ns > of_limit))
+        # The same run is a neighbour of hundreds of others.
+        if longer_than_ns not in self._stalls:
+            excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+            of_limit = OWN_SHARE * 2.0 * longer_than_ns
+            chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
+            self._stalls[longer_than_ns] = self._count(chosen)
+        return self._stalls[longer_than_ns]
 
     def _count(self, chosen: Flags) -> Ints:
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)

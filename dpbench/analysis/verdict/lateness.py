@@ -151,14 +151,14 @@ def find_late_timings(
 def _known(run: RunRecord, delays: Delays) -> Delays:
     """Return the delays of a run; gross where its own threads may be what it waits for."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
-    return delays.gross() if waits else delays
+    return delays.gross if waits else delays
 
 
 def _beside(own: Delays, others: Sequence[Delays]) -> list[Delays]:
     """Return what other runs show of the machine, as the own delays are known."""
     if own.knows_waits:
         return [other for other in others if other.knows_waits]
-    return [other.gross() for other in others]
+    return [other.gross for other in others]
 
 
 def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
@@ -247,7 +247,7 @@ def _test_replay(
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
     counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
-    late = int(own.gross().count_late(demand.p99_ns).sum())
+    late = int(own.gross.count_late(demand.p99_ns).sum())
     if not beside:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -273,7 +273,7 @@ def _p_of_middle_round(
 
 def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test the late timings of a run of one round that the machine does not explain."""
-    late, samples = int(own.gross().count_late(limit_ns).sum()), int(own.samples.sum())
+    late, samples = int(own.gross.count_late(limit_ns).sum()), int(own.samples.sum())
     explained = _explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:

@@ -218,7 +218,7 @@ def test_delays_know_waits_where_all_are_recorded() -> None:
     assert [one.knows_waits for one in delays.values()] == [True, False]
     assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
     assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
-    assert delays["a"].gross().net_ns.tolist() == [50.0]
+    assert delays["a"].gross.net_ns.tolist() == [50.0]
     assert delays["a"].base_ns.tolist() == [30.0, 30.0]
 
 
@@ -240,7 +240,7 @@ def test_a_delay_is_late_if_a_tenth_of_the_limit_is_its_own(
     assert delays.count_late(100.0).tolist() == [0, late]
     assert delays.count_late(101.0).tolist() == [0, 0]
     assert delays.count_stalls(50.0).tolist() == [0, stalls]
-    assert delays.gross().count_late(100.0).tolist() == [0, 1]
+    assert delays.gross.count_late(100.0).tolist() == [0, 1]
 
 
 def test_a_hard_step_is_late_by_itself() -> None:
