@@ -70,15 +70,9 @@ class Patience:
     Parameters
     ----------
     limit_s : the longest wait, 0 for none; None without a limit.
-    required : whether `BusyError` is raised after it; else work goes on without the lock.
     """
 
     limit_s: float | None = None
-    required: bool = True
-
-
-FOR_NOBODY = Patience(0.0, required=False)
-"""For work whose measurements nobody keeps."""
 
 
 class BusyError(InputError):
@@ -172,10 +166,9 @@ def _wait(
         time.sleep(_POLL_S)
         if _locked(lock, how | fcntl.LOCK_NB):
             return
-    if patience.required:
-        waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-        found = f"in use by {holders(lock)}{waited}"
-        raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
+    waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
+    found = f"in use by {holders(lock)}{waited}"
+    raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
 def _locked(lock: int, how: int) -> bool:

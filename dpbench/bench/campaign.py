@@ -19,8 +19,9 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
-from dpbench.bench.engines.opened import opened
+from dpbench.bench.engines.dispatcher import Dispatcher, longest
+from dpbench.bench.engines.engine import Engine, TlsFiles
+from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
@@ -42,7 +43,7 @@ from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.capability_boundary import capability_in
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
-from dpbench.bench.workers.executor import CellJob, Result, work_of
+from dpbench.bench.workers.jobs import CellJob, Result, by_source, work_of
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
 from dpbench.locks import Patience
@@ -77,7 +78,7 @@ class Campaign:
         self._fresh = fresh
         if fresh:
             self.store.forget(RequestedRuns(self.work).jobs)
-            SourceFiles(self.store.folder).drop()
+            SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
         at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
         self._at_boundary = by_source(at_boundary)
@@ -102,14 +103,14 @@ class Campaign:
         progress.start(work)
         if not work and self._is_written():
             return
-        solvers = [name for job in pending for name in (job.cell.solver, job.cell.backup) if name]
-        engine.prepare(self.sources, solvers, progress)
-        self._make_plots(engine, pending)
+        engine.prepare(self.sources, pending, progress)
+        dispatcher = Dispatcher(engine, self.sources, progress)
+        self._make_plots(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
-        for result in engine.run(pending):
+        for result in dispatcher.run(pending):
             self._keep(by_id[result.run_id], result)
-        self.sources.drop()
-        self.designs.run(engine, progress)
+        self.sources.clear()
+        self.designs.run(dispatcher, progress)
         self.write(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def pending(self) -> list[CellJob]:
@@ -134,12 +135,12 @@ class Campaign:
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
-    def _make_plots(self, engine: Engine, pending: list[CellJob]) -> None:
+    def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make the files that hold capability plots; a cell whose file fails says so itself."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
         cells = {self.sources.path(key): longest(self._at_boundary[key]) for key in wanted}
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
-        for _ in engine.make_files(make_source, unmade):
+        for _ in dispatcher.make_files(make_source, unmade):
             pass
 
     def _is_written(self) -> bool:
@@ -242,6 +243,11 @@ def designs_of(plan: Plan) -> list[Design]:
         return plan_designs(table, plan.path.parent) if table else []
 
 
+def default_folder(plan: Plan, out: str | Path | None) -> Path:
+    """Return the result folder: `out`, or that of the plan's name."""
+    return Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
+
+
 def run_campaign(
     suite: str | Path | None = None,
     out: str | Path | None = None,
@@ -313,22 +319,22 @@ def run_campaign(
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.of_text(shard)
     designs = designs_of(plan) if some.index == 1 else []
-    folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
+    folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
-        opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
+        open_engine(engine, jobs, scheduler, tls, Patience(wait_s)) as opened,
         claimed(folder, plan.name, Patience(wait_s)),
     ):
         for remark in remarks_on(plan.cells):
             progress.remark(remark)
-        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):
             work = [job.planned for job in campaign.work]
             refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
-            record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
+            record = ShardRecord(asked.from_anywhere(), some, plan.digest, opened.machine)
             record.write(folder)
-        campaign.run(crew, progress)
+        campaign.run(opened, progress)
     return folder

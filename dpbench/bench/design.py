@@ -20,14 +20,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import ConfigDict
 
-from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.descriptions import validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.worker import leave_verdict, pin, settle
+from dpbench.bench.workers.worker import pin, settle, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
@@ -276,7 +276,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
     pin(core)
     settle()
     _write(path, Designs((design_record(Design(**json.loads(text))),)))
-    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
+    write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:
@@ -312,13 +312,13 @@ class DesignStudy:
         """What is left to do, for the progress bar."""
         return WORK * len(self._pending)
 
-    def run(self, engine: Engine, progress: Progress) -> None:
+    def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
         """Look into what is not finished."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
         texts = {path: self._designs[path].text for path in self._pending}
-        for path, outcome in engine.make_files(run_design, texts, limit_s=LIMIT_S):
+        for path, outcome in dispatcher.make_files(run_design, texts, limit_s=LIMIT_S):
             design, self._reasons[path] = self._designs[path], outcome.detail
             if outcome.outcome == "lost":
                 self.lost.append(outcome.detail)

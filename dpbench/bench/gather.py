@@ -27,7 +27,7 @@ from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.result_folder import claimed
 from dpbench.bench.tabulate import refuse_other_selection
-from dpbench.bench.workers.executor import CellJob
+from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import write_bytes

@@ -30,7 +30,7 @@ from dpbench.bench.record.step_table import (
     rename_runs,
     runs_of_frame,
 )
-from dpbench.bench.workers.executor import CellJob
+from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 
 

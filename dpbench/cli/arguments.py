@@ -82,7 +82,7 @@ def _run(commands: Commands) -> None:
     run.add_argument(
         "--dry-run",
         action="store_true",
-        help="say how many cells that is, how long and how large; run a few of them to know",
+        help="estimate cells, time and size by the runs in --out, or by stated rates",
     )
     _how_to_end(run)
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from dpbench.bench.workers.interrupts import Interruption, one_interrupt
+from dpbench.bench.workers.interrupts import Interruption, first_signal_only
 from dpbench.cli.arguments import HOW_TO_END, parser
 from dpbench.cli.completion import complete
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
@@ -47,11 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv : the words after the command; None for those of this process, which ends with it.
     """
     if argv is not None:
-        with one_interrupt() as interruption:
+        with first_signal_only() as interruption:
             return _ended(argv, interruption)
     open_streams()
     try:
-        with one_interrupt(for_good=True) as interruption:
+        with first_signal_only(for_good=True) as interruption:
             return _ended(sys.argv[1:], interruption)
     finally:
         flush_streams()
@@ -169,16 +169,14 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "out", "fresh", "scheduler", "tls", "wait_s")
+_NOT_DRY = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
 """Arguments of a run that have no part in what it takes."""
 
 
 def _dry_run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
-    from dpbench.cli.terminal import Bar
 
-    with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
-        estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
+    estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END))
     if arguments.json:
         print(json.dumps(vars(estimate), indent=2))
     else:

@@ -29,6 +29,7 @@ from dpbench.bench.design import (
     load_designs,
     plan_designs,
 )
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.suite import DesignTable
@@ -53,8 +54,9 @@ def run(designs: list[Design], out: Path) -> Designs:
     """What `design.json` says after a run of such designs into a folder."""
     with LocalEngine(len(os.sched_getaffinity(0))) as engine:
         looked_into = study(designs, out)
-        engine.prepare(SourceFiles(out / "cells"), [], Silent())
-        looked_into.run(engine, Silent())
+        sources = SourceFiles(out / "cells")
+        engine.prepare(sources, [], Silent())
+        looked_into.run(Dispatcher(engine, sources, Silent()), Silent())
         looked_into.write(out)
     designs_there = load_designs(out)
     assert designs_there is not None

@@ -126,8 +126,8 @@ def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
     """As under nohup."""
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "from dpbench.bench.workers.interrupts import one_interrupt\n"
-        "with one_interrupt() as interruption:\n"
+        "from dpbench.bench.workers.interrupts import first_signal_only\n"
+        "with first_signal_only() as interruption:\n"
         "    signal.raise_signal(signal.SIGHUP)\n"
         "print(interruption.signal)\n"
     )

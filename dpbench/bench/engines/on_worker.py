@@ -1,6 +1,6 @@
 """What a worker of a cluster does for a campaign that was started elsewhere.
 
-Cells run as on the campaign's own machine, in processes of their own that `Bench` starts; files lie
+Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files lie
 in a scratch folder of the worker's machine and are gone when a task ends. What comes and goes over
 the network are bytes. Nothing here needs Dask.
 """
@@ -19,23 +19,22 @@ from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from dpbench.bench.engines.engine import Kind, Target, by_source, interleaved, without_source
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
+from dpbench.bench.workers.executor import CellExecutor
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
 from dpbench.bench.workers.leases import leased_core
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.bench.workers.worker import make_source
 from dpbench.errors import DpbenchError
 from dpbench.solvers.table import available
 from dpbench.temporary_folders import temporary_folder
 
 
 @dataclass(frozen=True)
-class About:
+class WorkerInfo:
     """What a campaign wants to know of a worker before it gives it cells.
 
     may_start : whether it may start processes, as one that is a daemon itself may not.
@@ -47,20 +46,19 @@ class About:
 
 
 @dataclass(frozen=True)
-class Order:
+class CampaignContext:
     """What all tasks of a campaign have in common.
 
-    harness_version : of the campaign; solvers : all that it runs.
+    solvers : all that it runs.
     modules : the text of plug-ins, by the paths in the cells.
     """
 
-    harness_version: str = HARNESS_VERSION
     solvers: tuple[str, ...] = ()
     modules: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Made:
+class MadeFile:
     """A file that was made: its bytes, none where it failed."""
 
     outcome: Outcome
@@ -68,10 +66,10 @@ class Made:
 
 
 @cache
-def about() -> About:
+def worker_info() -> WorkerInfo:
     """What is to be known of this process."""
     may_start = not multiprocessing.current_process().daemon
-    return About(HARNESS_VERSION, may_start, describe_machine())
+    return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 
 
 class TaskEndedError(DpbenchError):
@@ -107,89 +105,79 @@ def end_tasks() -> None:
 
 @_task()
 def make_files(
-    order: Order, target: Target, texts: Mapping[str, str], limit_s: float | None
-) -> list[Made]:
-    """Make files from their descriptions by name, on a core of this machine; as in `Errand`."""
-    with leased_core() as core, _bench(order, [core]) as (bench, folder):
-        paths = {folder / name: text for name, text in texts.items()}
-        errands = bench.make_files(target, paths, limit_s=limit_s)
-        became = {errand.path: errand.outcome for errand in errands}
-        return [_made(path, became[path]) for path in paths]
+    context: CampaignContext,
+    target: Target,
+    texts: Mapping[str, str],
+    limit_s: float | None,
+    *,
+    isolated: bool,
+) -> dict[str, MadeFile]:
+    """Make files from their descriptions by path, on a core of this machine, as a `FileBatch`."""
+    with leased_core() as core, _executor(context, [core]) as (executor, folder):
+        paths = {folder / Path(name).name: name for name in texts}
+        here = {path: texts[name] for path, name in paths.items()}
+        results = _completed(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
+        return {paths[Path(r.run_id)]: _made(Path(r.run_id), r.outcome) for r in results}
 
 
-def _made(path: Path, outcome: Outcome) -> Made:
-    return Made(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
+def _made(path: Path, outcome: Outcome) -> MadeFile:
+    return MadeFile(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
 
 
-def given(made: Made) -> Made:
-    """A file that the campaign's machine had."""
+def sent_file(made: MadeFile) -> MadeFile:
+    """Return a file that the campaign's machine had."""
     return made
+
+
+def results_of(made: Mapping[str, MadeFile | None]) -> list[Result]:
+    """Return what became of files, without their bytes; None of those that nobody came to."""
+    return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
 @_task()
 def run_cells(
-    order: Order,
-    kind: Kind,
-    jobs: Sequence[CellJob],
-    sources: Mapping[str, Made],
+    context: CampaignContext,
+    batch: CellBatch,
+    sources: Mapping[str, MadeFile],
     *,
-    unmade: Mapping[str, str],
     alone: bool,
     concurrency: int,
 ) -> list[Result]:
-    """Run cells of one configuration, or replay one sequence through several, and judge them.
+    """Run the cells of a batch and judge them.
 
     Parameters
     ----------
-    sources : what their QPs are made from, by key; unmade : what nobody else needs, to be made here
-        from its description.
+    sources : what their QPs are made from, by key.
     alone : whether they have all cores of this machine; one of them else.
     concurrency : of timed replays, see the column of that name.
     """
-    results = [*_of_other_versions(order, jobs)]
+    results = [*_of_other_solvers(batch.jobs)]
+    known = {result.run_id for result in results}
+    jobs = [job for job in batch.jobs if job.run_id not in known]
+    if not jobs:
+        return results
     with ExitStack() as stack:
         cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
-        bench, folder = stack.enter_context(_bench(order, cores, concurrency))
-        of_key = by_source(_others(jobs, results))
-        paths = {key: folder / f"exact-{key}.npz" for key in of_key}
-        for key, outcome in _put(bench, paths, sources, unmade):
-            if outcome.outcome != "finished":
-                results += without_source(of_key[key], outcome)
-        jobs = _others(jobs, results)
-        if not jobs:
-            return results
-        if kind == "replays":
-            return [*results, *bench.replays(interleaved(jobs), paths)]
-        return [*results, *bench.batches(jobs, paths, kind, most=BATCH_CELLS)]
+        executor, folder = stack.enter_context(_executor(context, cores, concurrency))
+        paths = {key: folder / f"exact-{key}.npz" for key in sources}
+        for key, path in paths.items():
+            path.write_bytes(sources[key].data)
+        here = CellBatch(batch.kind, jobs, batch.isolated)
+        return [*results, *_completed(executor, here, paths)]
 
 
-def _put(
-    bench: Bench, paths: Mapping[str, Path], sources: Mapping[str, Made], unmade: Mapping[str, str]
-) -> Iterator[tuple[str, Outcome]]:
-    """Put the sources of keys at their paths; yields each key with what became of its file."""
-    for key in paths.keys() & sources.keys():
-        paths[key].write_bytes(sources[key].data)
-        yield key, sources[key].outcome
-    keys = {paths[key]: key for key in paths.keys() & unmade.keys()}
-    texts = {path: unmade[key] for path, key in keys.items()}
-    for errand in bench.make_files(make_source, texts):
-        yield keys[errand.path], errand.outcome
+def _completed(
+    executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
+) -> Sequence[Result]:
+    executor.submit(batch, sources)
+    ((_, results),) = executor.completed()
+    return results
 
 
-def _others(jobs: Sequence[CellJob], results: Sequence[Result]) -> list[CellJob]:
-    """The jobs that have no result yet."""
-    known = {result.run_id for result in results}
-    return [job for job in jobs if job.run_id not in known]
-
-
-def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Jobs whose solver, or dpbench, is another one here than where the campaign was planned."""
+def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
+    """Lose the jobs whose solver is another one here than where the campaign was planned."""
     node = os.uname().nodename
     for job in jobs:
-        if order.harness_version != HARNESS_VERSION:
-            other = f"dpbench {HARNESS_VERSION} on {node}, {order.harness_version} of the campaign"
-            yield Result(job.run_id, Outcome("lost", other))
-            continue
         wanted = job.library.identity
         # A plug-in comes with the cells.
         identity = wanted if job.cell.solver_module else _identity(job.cell.solver)
@@ -205,29 +193,31 @@ def _identity(solver: str) -> str:
 
 
 @cache
-def _context(solvers: tuple[str, ...]) -> ForkServerContext:
+def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
     """Looking after kernels that were not compiled takes longer than a short cell."""
     return template_context(solvers)
 
 
 @contextmanager
-def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
-    """A bench with one slot on these cores, and a folder for the files it runs from."""
+def _executor(
+    context: CampaignContext, cores: list[int], concurrency: int = 1
+) -> Iterator[tuple[CellExecutor, Path]]:
+    """Open an executor with one slot on these cores, and a folder for the files it runs from."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}
-        for i, (path, text) in enumerate(order.modules.items()):
+        for i, (path, text) in enumerate(context.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)
             Path(modules[path]).parent.mkdir()
             Path(modules[path]).write_text(text, encoding="utf-8")
-        bench = Bench(
-            _context(order.solvers),
+        executor = CellExecutor(
+            _forkserver(context.solvers),
             stack.enter_context(Scratch(place)),
             cores,
             1,
             Silent(),
-            about().machine["id"],
+            worker_info().machine["id"],
             modules=modules,
             concurrency=concurrency,
         )
-        yield bench, place
+        yield stack.enter_context(executor), place

@@ -10,13 +10,19 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from dpbench.bench.engines.engine import by_source, interleaved
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.descriptions import MachineDescription, validated
 from dpbench.bench.record.result_folder import read_json, write_json
 from dpbench.bench.record.revision import Revision, revision
-from dpbench.bench.workers.executor import BATCH_CELLS, CellJob, configuration_key, work_of
+from dpbench.bench.workers.jobs import (
+    BATCH_CELLS,
+    CellJob,
+    by_source,
+    configuration_key,
+    interleaved,
+    work_of,
+)
 from dpbench.errors import InputError
 
 SHARD_FILE = "shard.json"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Container
+from collections.abc import Collection
 from pathlib import Path
 
 _SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
@@ -24,9 +24,14 @@ class SourceFiles:
         """Where the source of that key lies."""
         return self.folder / f"exact-{key}.npz"
 
-    def drop(self, needed: Container[str] = ()) -> None:
-        """Remove all but those that cells still need, and those that are kept."""
+    def remove(self, key: str) -> None:
+        """Remove the source of a key, unless it is kept."""
+        if key not in self._kept:
+            self.path(key).unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        """Remove all but those that are kept, also what an interrupted campaign left."""
         for path in self.folder.iterdir():
             own = _SOURCE.fullmatch(path.name)
-            if own and own["key"] not in needed and own["key"] not in self._kept:
+            if own and own["key"] not in self._kept:
                 path.unlink(missing_ok=True)

@@ -19,11 +19,11 @@ from typing import Generic, Protocol, TypeVar
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.workers.child import GRACE_S, Child
-from dpbench.bench.workers.notice import AtWork, post
+from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
+from dpbench.bench.workers.shared_status import Phase, set_phase
 from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
 
 EVALUATION_LIMIT_S = 600.0
-NOT_RUN = Outcome("lost", "it was not run")
 
 
 class Item(Protocol):
@@ -46,7 +46,7 @@ class _Run(Child, Generic[AnyItem]):
 
     Parameters
     ----------
-    alone : whether only the first item runs, and nothing beside it; the others come after it.
+    alone : whether nothing else runs beside it.
     """
 
     def __init__(
@@ -61,7 +61,6 @@ class _Run(Child, Generic[AnyItem]):
         logs: bool = True,
         alone: bool = False,
     ) -> None:
-        items, self._later = (items[:1], list(items[1:])) if alone else (items, [])
         self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
         args = (tuple(items), folder, core)
         for item in items:
@@ -100,13 +99,13 @@ class _Run(Child, Generic[AnyItem]):
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
         if not_begun or self.is_suspect or self._at == len(self._items):
-            return outcomes, self._items[self._at :] + self._later
+            return outcomes, self._items[self._at :]
         outcomes[self.name] = self.outcome()
-        return outcomes, self._items[self._at + 1 :] + self._later
+        return outcomes, self._items[self._at + 1 :]
 
 
-class CellBatch:
-    """All cells of one configuration on their way: run, then judged.
+class CellRun:
+    """The cells of a batch on their way: run, then judged.
 
     Parameters
     ----------
@@ -115,43 +114,48 @@ class CellBatch:
 
     Attributes
     ----------
-    outcomes : what became of them; records : of those that left steps what is to be kept.
+    outcomes : what became of them, without those that were at work or to come when the fork server
+        died; records : of those that left steps what is to be kept.
     """
 
     def __init__(
         self,
         context: ForkServerContext,
+        batch: CellBatch,
         folder: Path,
         cells: Sequence[BatchCell],
         *,
         to_run: bool = True,
     ) -> None:
-        self._context, self._folder, self._cells = context, folder, list(cells)
-        self._to_run = to_run
+        self.batch, self.folder = batch, folder
+        self._context, self._cells, self._to_run = context, list(cells), to_run
         self.outcomes: dict[str, Outcome] = {}
         self.records: dict[str, bytes] = {}
 
     def start(self, core: int) -> Child:
-        """The first process."""
+        """Start the first process."""
         return self._process(self._cells, core)
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Take down what became of the process that ended; the next one, or None at the end."""
+        """Record what became of the process that ended; start the next one, None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
         if self._to_run:
             rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
-            if child.is_suspect and child.name not in ended:
-                discard(self._folder / f"{child.name}.raw")
-            if not rest:
-                self._to_run = False
-                ran = [cell for cell in self._cells if self._left_steps(cell)]
-                rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
         else:
             for name, verdict in ended.items():
                 self._take_record(name, verdict)
-        return self._process(rest, core, alone=child.is_suspect) if rest else None
+        if child.is_suspect:
+            for cell in rest:
+                self.outcomes.pop(cell.name, None)
+                discard(self.folder / f"{cell.name}.raw")
+            rest = []
+        if self._to_run and not rest:
+            self._to_run = False
+            ran = [cell for cell in self._cells if self._left_steps(cell)]
+            rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
+        return self._process(rest, core) if rest else None
 
     def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
         """The cell that was killed as it hung in a step, to go on behind it, and no longer among
@@ -160,7 +164,7 @@ class CellBatch:
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
                 continue
-            raw = self._folder / f"{batch_cell.name}.raw"
+            raw = self.folder / f"{batch_cell.name}.raw"
             hang = hang_of(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
             if hang is not None:
                 del ended[batch_cell.name]
@@ -172,7 +176,7 @@ class CellBatch:
         """Take what the referee left of a cell; without it the cell is lost."""
         try:
             if verdict.outcome == "finished":
-                self.records[name] = (self._folder / f"{name}.judged").read_bytes()
+                self.records[name] = (self.folder / f"{name}.judged").read_bytes()
                 return
             detail = f"the referee failed on it: {verdict.detail}"
         except OSError as error:
@@ -181,37 +185,28 @@ class CellBatch:
 
     def _left_steps(self, cell: BatchCell) -> bool:
         """Whether there is something to judge."""
-        lost = self.outcomes[cell.name].outcome == "lost"
-        return not lost and (self._folder / f"{cell.name}.raw").exists()
+        outcome = self.outcomes.get(cell.name)
+        if outcome is None or outcome.outcome == "lost":
+            return False
+        return (self.folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int, *, alone: bool = False) -> Child:
-        """A process that runs cells, or judges them when all are run; `alone` as in `_Run`."""
+    def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
+        """Start a process that runs cells, or judges them when all are run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
-        return _Run(self._context, target, cells, self._folder, core, verdict=verdict, alone=alone)
+        alone = self.batch.isolated
+        return _Run(self._context, target, cells, self.folder, core, verdict=verdict, alone=alone)
 
 
-Target = Callable[[str, Path, str, int, Path], None]
-"""Makes a file in a process, called as target(description, folder, name, core, path)."""
-
-
-@dataclass(eq=False)
-class Errand:
-    """A file to be made.
-
-    Parameters
-    ----------
-    description, path : what it is made from, and where it appears.
-    limit_s : what that may take; None for any time.
-    outcome : what became of it.
-    """
+@dataclass(frozen=True)
+class FileTask:
+    """A file to be made at `path` from its description, within `limit_s`, if that is not None."""
 
     description: str
     path: Path
     limit_s: float | None = None
-    outcome: Outcome = NOT_RUN
 
     @property
     def name(self) -> str:
@@ -219,41 +214,40 @@ class Errand:
         return self.path.stem
 
 
-def make_in_turn(target: Target, errands: Sequence[Errand], folder: Path, core: int) -> None:
+def make_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
     """Make files one after the other in this process."""
-    for i, errand in enumerate(errands):
-        post(AtWork.HARNESS, i)
-        target(errand.description, folder, errand.name, core, errand.path)
+    for i, task in enumerate(tasks):
+        set_phase(Phase.HARNESS, i)
+        target(task.description, folder, task.name, core, task.path)
 
 
-class ErrandBatch:
-    """Files on their way, several in one process.
+class FileRun:
+    """The files of a batch on their way, several in one process.
 
-    Parameters
+    Attributes
     ----------
-    target : makes one of them, and leaves its verdict in `folder`.
+    results : what became of them, as of a `CellRun`.
     """
 
-    def __init__(
-        self, context: ForkServerContext, target: Target, errands: Sequence[Errand], folder: Path
-    ) -> None:
-        self._context, self._target, self._folder = context, target, folder
-        self.errands = list(errands)
+    def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
+        self.batch, self.folder = batch, folder
+        self._context, self.results = context, list[Result]()
+        self._paths = {path.stem: str(path) for path in batch.texts}
 
     def start(self, core: int) -> Child:
-        """The first process."""
-        return self._process(self.errands, core)
+        """Start the first process."""
+        texts, limit_s = self.batch.texts, self.batch.limit_s
+        return self._process([FileTask(text, path, limit_s) for path, text in texts.items()], core)
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Take down what became of the process that ended; the next one, or None at the end."""
+        """Record what became of the process that ended; start the next one, None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
-        for errand in self.errands:
-            errand.outcome = ended.get(errand.name, errand.outcome)
+        self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
-            (self._folder / f"{name}.json").unlink(missing_ok=True)
-        return self._process(rest, core, alone=child.is_suspect) if rest else None
+            (self.folder / f"{name}.json").unlink(missing_ok=True)
+        return self._process(rest, core) if rest and not child.is_suspect else None
 
-    def _process(self, errands: Sequence[Errand], core: int, *, alone: bool = False) -> Child:
-        target = partial(make_in_turn, self._target)
-        return _Run(self._context, target, errands, self._folder, core, logs=False, alone=alone)
+    def _process(self, tasks: Sequence[FileTask], core: int) -> Child:
+        target, alone = partial(make_in_turn, self.batch.target), self.batch.isolated
+        return _Run(self._context, target, tasks, self.folder, core, logs=False, alone=alone)

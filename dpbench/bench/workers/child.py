@@ -24,11 +24,11 @@ from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.run.footprint import peak_bytes_of
-from dpbench.bench.workers import notice
+from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
-from dpbench.bench.workers.interrupts import interrupts_wait
-from dpbench.bench.workers.notice import CUT, AtWork, Notice
-from dpbench.bench.workers.orphans import end_orphans, signal_process
+from dpbench.bench.workers.interrupts import sigint_blocked
+from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
+from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
 from dpbench.temporary_folders import keep_sockets
 
@@ -40,10 +40,10 @@ than the limit."""
 STOPPED_S = 10.0
 """A process that somebody stopped (SIGSTOP) is killed after this time."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
-WITHOUT_TEMPLATE = Outcome(
+FORKSERVER_DIED = Outcome(
     "lost", "the template of its process was killed, as by the out-of-memory killer"
 )
-ENDED_TEMPLATE = Outcome(
+KILLED_FORKSERVER = Outcome(
     "crashed", "the process that starts the workers was killed twice while it ran, then alone"
 )
 _UNHEARD = 255
@@ -93,7 +93,7 @@ def _template() -> Iterator[None]:
             multiprocessing.resource_tracker.ensure_running()
             keep_sockets()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
-            with interrupts_wait():
+            with sigint_blocked():
                 multiprocessing.forkserver.ensure_running()
             yield
         finally:
@@ -110,15 +110,15 @@ class Child:
     Parameters
     ----------
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
-        says in `notice.py` when its solver is at work. Whoever is at work when it ends without a
-        verdict has ended it.
+        says in `shared_status.py` when its solver is at work. Whoever is at work when it ends
+        without a verdict has ended it.
     folder, name : where its raw log and verdict appear.
     limit_s : own run time allowed once its log says it started; None for none.
     logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
 
     Attributes
     ----------
-    orphaned : whether its template died before it, so that nobody hears of its end.
+    forkserver_died : whether its template died before it, so that nobody hears of its end.
     alone : whether it runs while nothing else does, because an earlier template died.
 
     Raises
@@ -143,14 +143,14 @@ class Child:
         self._born, self._memory_kills = time.monotonic(), _memory_kills()
         self._running_since = None if logs else self._born
         self._killed_for, self._was_killed = "", False
-        self.orphaned, self.alone = False, False
+        self.forkserver_died, self.alone = False, False
         self._stopped_since: float | None = None
         self._peak_bytes = 0.0
-        self.notice = Notice()
+        self.notice = SharedStatus()
         self.process: ForkServerProcess = context.Process(
-            target=notice.run, args=(self.notice, target, args), daemon=True
+            target=shared_status.run, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process, self.notice)
+        _start(self.process)
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
@@ -174,7 +174,7 @@ class Child:
     @property
     def is_suspect(self) -> bool:
         """Whether it may have ended its template, and runs once more to know."""
-        return self.orphaned and not self.alone
+        return self.forkserver_died and not self.alone
 
     def overdue(self) -> bool:
         """Kill the process when a limit has passed; true if it did."""
@@ -222,10 +222,10 @@ class Child:
         would have ended it."""
         self._join_process()
         end_orphans(self.notice.keeper, self.notice.template)
-        if self.orphaned or self.process.exitcode != _UNHEARD:
+        if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.orphaned = _ends(self.notice.template)
-        if self.orphaned and self.process.pid is not None:
+        self.forkserver_died = _ends(self.notice.template)
+        if self.forkserver_died and self.process.pid is not None:
             _end(self.process.pid)
 
     def _has_started(self) -> bool:
@@ -238,12 +238,12 @@ class Child:
         """What became of it, once it ended."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
-        by_itself = self.notice.who is AtWork.SOLVER and not self._was_killed
-        if self.has_verdict and (self.orphaned or not by_itself):
+        by_itself = self.notice.who is Phase.SOLVER and not self._was_killed
+        if self.has_verdict and (self.forkserver_died or not by_itself):
             return self.verdict_of(self._verdict)
-        if self.orphaned:
+        if self.forkserver_died:
             guilty = self.alone and self.notice.who.blames_solver
-            return ENDED_TEMPLATE if guilty else WITHOUT_TEMPLATE
+            return KILLED_FORKSERVER if guilty else FORKSERVER_DIED
         ended = self._end_without_verdict()
         cut = f"; {CUT}" if self.notice.output.is_full else ""
         peak = max(self._peak_bytes, self.notice.peak_bytes)
@@ -277,7 +277,7 @@ class Child:
         if not words:
             last = self.notice.output.last_line or "no output"
             words = f"its process left with exit code {code}: {last}"
-        where = " while it was opened" if self.notice.who is AtWork.OPENING else ""
+        where = " while it was opened" if self.notice.who is Phase.OPENING else ""
         return f"{words}{where}"
 
     @staticmethod
@@ -361,24 +361,25 @@ class ServingChild(Child):
         return self.outcome()
 
 
-def _start(process: ForkServerProcess, notice: Notice) -> None:
+def _start(process: ForkServerProcess) -> None:
     """Start a process, again where its template dies meanwhile; NoProcessError if the last of
-    `STARTS` fails. Of two that its template forked and did not live to tell of, one lives."""
+    `STARTS` fails."""
     for attempt in range(STARTS):
-        if began := notice.start_anew():
-            _end(began)
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
         signal_process(_keeper(), signal.SIGCONT)
         try:
-            with _template(), without_main():
+            with _template(), hidden_main_module():
                 process.start()
             return
         except (OSError, EOFError) as error:
             if attempt == STARTS - 1:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
-            # A template that ended has its keeper end; another begins after that.
-            _ends(_keeper())
+            # It may have forked the process and not lived to tell: that ends with it.
+            end_below(_keeper())
+            # While the old one lives the next attempt gets no other template, and fails as well.
+            if not _ends(_keeper(), END_S):
+                _end(_keeper())
 
 
 def _keeper() -> int:
@@ -403,20 +404,20 @@ def _end(pid: int) -> None:
     _ends(pid)
 
 
-def _ends(pid: int) -> bool:
-    """Whether a process is gone, or will be at once."""
+def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
+    """Whether a process is gone, or will be soon."""
     try:
         process = os.pidfd_open(pid)
     except OSError:
         return True
     try:
-        return bool(wait([process], _DYING_S))
+        return bool(wait([process], wait_s))
     finally:
         os.close(process)
 
 
 @contextmanager
-def without_main() -> Iterator[None]:
+def hidden_main_module() -> Iterator[None]:
     """Processes started in the block need nothing of the program that started the campaign, and
     do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
     of them."""

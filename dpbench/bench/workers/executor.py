@@ -1,102 +1,46 @@
-"""Run cells in processes of their own on the cores of this machine, and have them judged.
+"""Run batches in processes of their own on the cores of this machine, and have them judged.
 
-In one of two ways: batches side by side on the cores, for closed loops and random sequences, and
-replays that are timed, interleaved, one worker at a time.
+In one of two ways: side by side on the cores, closed loops, random sequences and files; and replays
+that are timed, interleaved, one worker at a time.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import zip_longest
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import replace
+from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import TypeVar
 
 import pyarrow as pa
 
 from dpbench.bench.judge.rows import run_row
-from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, Row, batch_part, unpacked
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.finished_batch import DAMAGE, Row, batch_part, unpacked
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import log_size
-from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
-from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
+from dpbench.bench.workers.batch import CellRun, FileRun
+from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER
+from dpbench.bench.workers.cores import CorePool, run_on_cores
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, work_of
 from dpbench.bench.workers.leases import leased_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.slots import AnyTask, in_slots
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.locks import ALONE, TOGETHER, Holder, Patience
-from dpbench.solvers.table import Availability
 
-Batch = TypeVar("Batch")
-BATCH_CELLS, BATCH_BYTES = 32, 2**23
-"""Closed loops that share a process, and the bytes of their logs, at most."""
+Sources = Mapping[str, Path]
+"""The files behind the QPs of a batch, by key."""
 WAITING = (
     "waiting for {}: while one campaign times replays on this machine, no other runs cells "
     "(--no-wait, --wait SECONDS)"
 )
-
-
-@dataclass(eq=False)
-class CellJob:
-    """A planned cell on its way through the campaign.
-
-    machine_id : of the machine that its `run_id` is of.
-    """
-
-    planned: PlannedCell
-    run_id: str
-    library: Availability
-    machine_id: str
-    outcome: Outcome | None = None
-
-    @property
-    def cell(self) -> Cell:
-        """Its cell."""
-        return self.planned.cell
-
-    @cached_property
-    def source_key(self) -> str:
-        """Of the file behind its QPs."""
-        return self.cell.source_key(HARNESS_VERSION)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What became of a cell.
-
-    part : the finished cells of its batch, one object for all of these; None where nothing is to be
-        kept of it.
-    """
-
-    run_id: str
-    outcome: Outcome
-    part: BatchPart | None = None
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether an accident of the harness cost it."""
-        return self.outcome.outcome == "lost"
-
-
-def work_of(cell: Cell) -> int:
-    """Steps a cell will take, for the progress bar."""
-    return cell.steps * max(1, cell.rounds)
-
-
-def name_of(cell: Cell) -> str:
-    """What the progress bar calls a cell."""
-    return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
 @contextmanager
@@ -110,8 +54,8 @@ def _away_from(core: int) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-class Bench:
-    """Runs cells in processes of their own and has them judged.
+class CellExecutor(ExitStack):
+    """Runs batches in processes of their own; all of them end with the `with` block.
 
     Parameters
     ----------
@@ -137,112 +81,110 @@ class Bench:
         work: str = "a campaign",
         patience: Patience = Patience(),  # noqa: B008 - frozen
     ) -> None:
+        super().__init__()
         self._context, self._scratch, self.progress = context, scratch, progress
-        self._cores, self._slots = cores, cores[:slots]
-        self._machine_id, self._modules = machine_id, modules or {}
+        self._cores, self._machine_id, self._modules = cores, machine_id, modules or {}
         self._concurrency, self._waited_for = concurrency, ""
         self._holder, self._patience = Holder(work), patience
+        self._pool = CorePool[CellRun | FileRun](cores[:slots])
+        self._replays = deque[tuple[CellBatch, Sources]]()
+        self._refused: list[tuple[Batch, list[Result]]] = []
+        self._log_bytes: dict[CellRun, int] = {}
+        self._lost: dict[CellRun, list[Result]] = {}
+        self._idle = IdleWorkers(context, cores[-1])
+        self._sharing = self.enter_context(ExitStack())
+        self.callback(self._idle.close)
 
-    def make_files(
-        self,
-        target: Target,
-        descriptions: Mapping[Path, str],
-        *,
-        limit_s: float | None = None,
-    ) -> Iterator[Errand]:
-        """Make files from their descriptions, several in one process; as in `Errand`.
+    def submit(self, batch: Batch, sources: Sources) -> None:
+        """Take a batch; timed replays only while there is no other."""
+        if isinstance(batch, FileBatch):
+            self._start(FileRun(self._context, batch, self._scratch.folder()))
+        elif batch.is_timed:
+            self._replays.append((batch, sources))
+        else:
+            self._submit_cells(batch, sources)
 
-        Yields
-        ------
-        The errand of each file when those that shared its process are done.
+    def completed(self) -> Iterator[tuple[Batch, list[Result]]]:
+        """Wait until batches have come to their end; yield them with their results.
+
+        Cells and files that were at work or to come when the fork server died have none.
         """
-        folder, most = self._scratch.folder(), batch_cells(len(descriptions), len(self._slots))
-        errands = [Errand(text, path, limit_s) for path, text in descriptions.items()]
-        batches = [
-            ErrandBatch(self._context, target, errands[i : i + most], folder)
-            for i in range(0, len(errands), most)
-        ]
-        for batch in self._in_slots(batches, self._slots):
-            yield from batch.errands
+        while self._refused:
+            yield self._refused.pop()
+        if self._replays:
+            batch, sources = self._replays.popleft()
+            yield batch, self._replay(batch, sources)
+        for run in self._pool.completed():
+            results = run.results if isinstance(run, FileRun) else self._results_of(run)
+            if not len(self._pool):
+                self._sharing.close()
+            yield run.batch, results
 
-    def batches(
-        self,
-        jobs: Sequence[CellJob],
-        sources: Mapping[str, Path],
-        what: str,
-        *,
-        most: int | None = None,
-    ) -> Iterator[Result]:
-        """Run closed loops, or random sequences, and judge each batch right after it ran.
+    def _start(self, run: CellRun | FileRun) -> None:
+        """Have a batch run on the next core, while nobody times replays on this machine."""
+        self._idle.close()
+        if not len(self._pool):
+            self._sharing.enter_context(self._machine(TOGETHER))
+        self._pool.add(run)
 
-        Cells of one configuration share a process, one after the other: `most` of them, by default
-        as many as keep all slots busy to the end.
-
-        Yields
-        ------
-        The results of each batch when it is done.
-        """
-        sizes, lost = self._sizes(jobs, sources)
-        yield from lost
-        if not sizes:
-            return
-        batches = _batches(sizes, most or batch_cells(len(sizes), len(self._slots)))
+    def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
+        sizes, lost = self._sizes(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
-        needs = sorted(sum(sizes[job] for job in batch) for batch in batches)
+        need = sum(sizes.values())
         try:
-            folder = self._scratch.folder(sum(needs[-len(self._slots) :]), what)
+            folder = self._scratch.folder(need + sum(self._log_bytes.values()), batch.kind)
         except NoRoomError as error:
-            yield from (self._lost(job, str(error)) for job in sizes)
+            lost += [_lost(job, str(error)) for job in sizes]
+            sizes = {}
+        if not sizes:
+            self._refused.append((batch, lost))
             return
-        by_id = {job.run_id: job for job in sizes}
-        for batch in self._in_batches(batches, sources, folder):
-            outcomes = {by_id[run_id]: outcome for run_id, outcome in batch.outcomes.items()}
-            for job in outcomes:
-                self.progress.advance(work_of(job.cell), name_of(job.cell))
-            yield from self._results(outcomes, batch.records, folder)
+        cells = [self._batch_cell(job, sources) for job in sizes]
+        run = CellRun(self._context, batch, folder, cells)
+        self._log_bytes[run], self._lost[run] = need, lost
+        self._start(run)
 
-    def replays(
-        self, groups: Sequence[Sequence[CellJob]], sources: Mapping[str, Path]
-    ) -> Iterator[Result]:
-        """Replay sequences one after the other, each through its group of configurations, and
-        judge each group right after it ran.
+    def _results_of(self, run: CellRun) -> list[Result]:
+        self._log_bytes.pop(run)
+        ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
+        outcomes = {job: run.outcomes[job.run_id] for job in ended}
+        return self._results(outcomes, run.records, run.folder) + self._lost.pop(run)
+
+    def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
+        """Replay one sequence through all its configurations, interleaved, then judge them all.
 
         A configuration has one process for all sequences, unless it ends.
         """
-        with closing(IdleWorkers(self._context, self._cores[-1])) as processes:
-            for jobs in groups:
-                yield from self._replays_of_one(jobs, sources, processes)
-
-    def _replays_of_one(
-        self, jobs: Sequence[CellJob], sources: Mapping[str, Path], processes: IdleWorkers
-    ) -> Iterator[Result]:
-        """Replay one sequence through all its configurations, interleaved, then judge them all."""
-        sizes, lost = self._sizes(jobs, sources)
-        yield from lost
+        sizes, lost = self._sizes(batch.jobs, sources)
         if not sizes:
-            return
-        what = f"the replays of {jobs[0].cell.sequence}"
+            return lost
+        what = f"the replays of {batch.jobs[0].cell.sequence}"
         try:
             folder = self._scratch.folder(sum(sizes.values()), what)
         except NoRoomError as error:
-            yield from (self._lost(job, str(error)) for job in sizes)
-            return
-        outcomes = self._by_turns([*sizes], _source(jobs[0], sources), folder, processes)
+            return lost + [_lost(job, str(error)) for job in sizes]
+        outcomes = self._by_turns(batch, [*sizes], sources, folder)
         stepped = [
             job
             for job in sizes
             if outcomes[job.run_id].outcome != "lost" and (folder / f"{job.run_id}.raw").exists()
         ]
-        shares = [stepped[i :: len(self._cores)] for i in range(len(self._cores))]
+        cells = [self._batch_cell(job, sources, outcomes[job.run_id]) for job in stepped]
+        shares = filter(None, (cells[i :: len(self._cores)] for i in range(len(self._cores))))
         # Judged on every core, whatever the slots: nothing is timed any more.
-        ran, records = dict(outcomes), dict[str, bytes]()
-        for batch in self._in_batches(filter(None, shares), sources, folder, ran):
-            outcomes |= batch.outcomes
-            records |= batch.records
-        yield from self._results({job: outcomes[job.run_id] for job in sizes}, records, folder)
+        runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
+        records: dict[str, bytes] = {}
+        unanswered = {job.run_id for job in stepped}
+        with self._machine(TOGETHER):
+            for run in run_on_cores(runs, self._cores):
+                outcomes |= run.outcomes
+                records |= run.records
+                unanswered -= run.outcomes.keys() | run.records.keys()
+        answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
+        return lost + self._results(answered, records, folder)
 
     def _by_turns(
-        self, jobs: Sequence[CellJob], source: Path, folder: Path, processes: IdleWorkers
+        self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
         """What became of replays that took turns, by run_id.
 
@@ -250,22 +192,23 @@ class Bench:
         template is known; all others of them take turns once more.
         """
         cells = [(job.run_id, self._here(job.cell)) for job in jobs]
-        outcomes = self._turns(cells, source, folder, processes)
-        suspects = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
+        turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
+        outcomes = turns(cells)
+        suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
         for entry in suspects:
-            outcomes |= self._turns([entry], source, folder, processes, alone=True)
-        ended = (WITHOUT_TEMPLATE, ENDED_TEMPLATE)
+            outcomes |= turns([entry], alone=True)
+        ended = (FORKSERVER_DIED, KILLED_FORKSERVER)
         cleared = [entry for entry in suspects if outcomes[entry[0]] not in ended]
         if cleared:
-            outcomes |= self._turns(cleared, source, folder, processes)
+            outcomes |= turns(cleared)
         return outcomes
 
     def _turns(
         self,
-        cells: list[tuple[str, Cell]],
+        batch: CellBatch,
         source: Path,
         folder: Path,
-        processes: IdleWorkers,
+        cells: list[tuple[str, Cell]],
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
@@ -275,17 +218,18 @@ class Bench:
         share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
             discard(folder / f"{run_id}.raw")
-        group = ReplayGroup(processes, folder, source, cells, alone=alone)
+        group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = ALONE if self._concurrency == 1 else TOGETHER
         with self._machine(how) as held, _away_from(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
+                batch.shown_work += share
         if not held:
             self._concurrency = max(2, self._concurrency)
         return group.outcomes
 
     def _sizes(
-        self, jobs: Sequence[CellJob], sources: Mapping[str, Path]
+        self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
         """What each log takes [B]; jobs whose source cannot be read are not in it but lost."""
         sizes: dict[CellJob, int] = {}
@@ -296,45 +240,16 @@ class Bench:
             alike = job.source_key, cell.sequence, cell.mode, cell.steps, cell.rounds
             try:
                 if alike not in known:
-                    known[alike] = log_size(cell, _source(job, sources))
+                    known[alike] = log_size(cell, sources[job.source_key])
                 sizes[job] = known[alike]
             except InputError as error:
-                lost.append(self._lost(job, str(error)))
+                lost.append(_lost(job, str(error)))
         return sizes, lost
-
-    def _lost(self, job: CellJob, cause: str) -> Result:
-        self.progress.advance(work_of(job.cell), "lost")
-        return Result(job.run_id, Outcome("lost", cause))
 
     def _here(self, cell: Cell) -> Cell:
         """The cell with its plug-in where that lies on this machine."""
         module = self._modules.get(cell.solver_module)
         return cell if module is None else replace(cell, solver_module=module)
-
-    def _in_batches(
-        self,
-        batches: Iterable[Sequence[CellJob]],
-        sources: Mapping[str, Path],
-        folder: Path,
-        ran: Mapping[str, Outcome] | None = None,
-    ) -> Iterator[CellBatch]:
-        """Run and judge batches side by side; each when it is done.
-
-        Parameters
-        ----------
-        ran : what became of cells that were run before, and are only judged, on all cores.
-        """
-        tasks = []
-        for jobs in batches:
-            cells = [self._batch_cell(job, sources, (ran or {}).get(job.run_id)) for job in jobs]
-            tasks.append(CellBatch(self._context, folder, cells, to_run=ran is None))
-        yield from self._in_slots(tasks, self._slots if ran is None else self._cores)
-
-    def _in_slots(self, tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
-        """As `in_slots`, while nobody times replays on this machine."""
-        if tasks:
-            with self._machine(TOGETHER):
-                yield from in_slots(tasks, cores)
 
     def find_machine_free(self, *, times: bool) -> None:
         """Before anything runs, where patience ends: BusyError at its end.
@@ -343,7 +258,7 @@ class Bench:
         ----------
         times : whether replays will be timed, which takes all of the machine.
         """
-        if self._patience.required and self._patience.limit_s is not None:
+        if self._patience.limit_s is not None:
             with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
                 pass
 
@@ -358,13 +273,13 @@ class Bench:
         self._waited_for = holders
 
     def _batch_cell(
-        self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None
+        self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
         return BatchCell(
             job.run_id,
             job.cell.to_json(),
             job.cell.limit_s,
-            _source(job, sources),
+            sources[job.source_key],
             outcome,
             job.library,
             self._machine_id,
@@ -378,7 +293,7 @@ class Bench:
 
     def _results(
         self, outcomes: Mapping[CellJob, Outcome], records: Mapping[str, bytes], folder: Path
-    ) -> Iterator[Result]:
+    ) -> list[Result]:
         """Return the results of a batch, and leave nothing in `folder` of what it left there.
 
         Parameters
@@ -399,8 +314,10 @@ class Bench:
                 with suppress(OSError):
                     (folder / f"{job.run_id}.{suffix}").unlink()
         part = batch_part(kept) if kept else None
-        for job, outcome in became.items():
-            yield Result(job.run_id, outcome, part if job.run_id in kept else None)
+        return [
+            Result(job.run_id, outcome, part if job.run_id in kept else None)
+            for job, outcome in became.items()
+        ]
 
     def _kept(
         self, job: CellJob, outcome: Outcome, record: bytes | None
@@ -415,44 +332,5 @@ class Bench:
         return row, no_steps()
 
 
-def _source(job: CellJob, sources: Mapping[str, Path]) -> Path:
-    """The file behind the QPs of a job."""
-    return sources[job.source_key]
-
-
-def batch_cells(cells: int, slots: int) -> int:
-    """How many of so many cells share a process at most: as many as keep all slots busy to the
-    end."""
-    return min(BATCH_CELLS, max(1, cells // (4 * slots)))
-
-
-def configuration_key(cell: Cell) -> tuple[str, ...]:
-    """Cells with the same key may share a process."""
-    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
-
-
-def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:
-    """Return of the batches of several configurations the first of each, then the second of each,
-    and so on: all of them run the same sea at about the same time, whose source is kept."""
-    turns = zip_longest(*of_configurations)
-    return [batch for turn in turns for batch in turn if batch is not None]
-
-
-def _batches(sizes: Mapping[CellJob, int], most: int) -> list[list[CellJob]]:
-    """Jobs that share a process, by the sizes of their logs [B]: those of one configuration, and
-    configurations by turns.
-
-    No more than `most`, and than the memory for logs has room for.
-    """
-    batches: dict[tuple[str, ...], list[list[CellJob]]] = {}
-    room: dict[tuple[str, ...], int] = {}
-    for job, size in sizes.items():
-        key = configuration_key(job.cell)
-        alike = batches.setdefault(key, [])
-        looped = job.cell.mode == "closed_loop"
-        if not alike or (looped and (len(alike[-1]) >= most or size > room[key])):
-            alike.append([])
-            room[key] = BATCH_BYTES
-        alike[-1].append(job)
-        room[key] -= size
-    return alternating(batches.values())
+def _lost(job: CellJob, cause: str) -> Result:
+    return Result(job.run_id, Outcome("lost", cause))

@@ -64,7 +64,7 @@ class ReplayWorker:
         self.hung: tuple[Hang, ...] = ()
 
     @property
-    def sated(self) -> bool:
+    def budget_exhausted(self) -> bool:
         """Whether it has used up its budget and has rounds enough."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
@@ -160,23 +160,23 @@ class ReplayGroup:
             order = Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for worker in order.sample(workers, len(workers)):
-                    if worker.serving and r <= worker.cell.rounds and not worker.sated:
+                    if worker.serving and r <= worker.cell.rounds and not worker.budget_exhausted:
                         self.serve(worker, r)
                 yield r
-            self._repeat_robbed(workers, order)
+            self._rerun_loaded_rounds(workers, order)
         finally:
             for worker in workers:
                 outcome = self._processes.finish(worker.child, worker.cell)
                 self.outcomes[worker.run_id] = outcome
 
-    def _repeat_robbed(self, workers: list[ReplayWorker], order: Random) -> None:
+    def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
         """Run robbed rounds again; of workers whose log somebody removed there are none to tell."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
                 with suppress(OSError, ValueError):
                     logs[worker.run_id] = self._log(worker)
-        repeat_robbed(
+        rerun_loaded_rounds(
             [worker for worker in workers if worker.run_id in logs], logs, self.serve, order
         )
 
@@ -246,13 +246,13 @@ def load_levels(log: RawLog) -> NDArray[np.float64]:
     return levels
 
 
-def most_robbed(levels: NDArray[np.float64], quietest: float) -> int | None:
+def most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
     """The round that was robbed most, None where none was."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 
 
-def repeat_robbed(
+def rerun_loaded_rounds(
     configurations: Sequence[ReplayWorker],
     logs: Mapping[str, RawLog],
     serve: Callable[[ReplayWorker, int], None],
@@ -281,7 +281,7 @@ def repeat_robbed(
         )
         due = []
         for one in serving:
-            r = most_robbed(levels[one.run_id], float(quietest))
+            r = most_loaded_round(levels[one.run_id], float(quietest))
             if r is not None:
                 took_s = float(np.nan_to_num(logs[one.run_id].counters[r, 0]))
                 if one.spent_s + took_s < end_s[one.run_id]:

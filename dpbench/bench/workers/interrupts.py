@@ -40,7 +40,7 @@ class Interruption:
 
 
 @contextmanager
-def one_interrupt(*, for_good: bool = False) -> Iterator[Interruption]:
+def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
     """The first signal that ends a program is a KeyboardInterrupt; those soon after it do nothing.
 
     A person presses Ctrl-C twice, and a program that runs this one may pass on what the terminal
@@ -67,7 +67,7 @@ def one_interrupt(*, for_good: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def interrupts_wait() -> Iterator[None]:
+def sigint_blocked() -> Iterator[None]:
     """Ctrl-C is heard at the end of the block; processes started in it hold it back as well."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -35,7 +35,7 @@ def _split() -> None:
     template = os.fork()
     if template == 0:
         end_with_parent(keeper)
-        orphans.keeper_of_template = keeper
+        orphans.template, orphans.keeper = os.getpid(), keeper
         return
     try:
         _keep(template, main)

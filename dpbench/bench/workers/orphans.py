@@ -20,8 +20,8 @@ _ALL_CHILDREN = 0x40000000
 END_S = 5.0
 """Time in which all orphans must be gone; a process in an uninterruptible call may take longer."""
 _libc = ctypes.CDLL(None)
-keeper_of_template = 0
-"""The keeper above this process, in a template and what is forked from it; 0 elsewhere."""
+template = keeper = 0
+"""The template and its keeper, in that and in what is forked from it; 0 elsewhere."""
 
 
 def adopt_orphans() -> None:
@@ -70,6 +70,12 @@ def signal_process(pid: int, number: signal.Signals) -> None:
     if pid > 0:
         with suppress(ProcessLookupError, PermissionError):
             os.kill(pid, number)
+
+
+def end_below(keeper: int) -> None:
+    """End the template of a keeper, which ends all that is left below it, and then itself."""
+    for child in children_of(keeper) if keeper else []:
+        signal_process(child, signal.SIGKILL)
 
 
 def end_orphans(keeper: int, template: int) -> None:

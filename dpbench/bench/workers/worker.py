@@ -44,9 +44,9 @@ from dpbench.bench.run.footprint import (
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import replayed, source_file
-from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
+from dpbench.bench.sequences.source import is_readable, replayed, source_file
 from dpbench.bench.workers.orphans import has_children
+from dpbench.bench.workers.shared_status import Phase, begin_output, output_cut, set_phase
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -73,7 +73,7 @@ def pin(core: int) -> None:
     os.sched_setaffinity(0, {core})
 
 
-def leave_verdict(path: Path, outcome: Outcome) -> None:
+def write_outcome(path: Path, outcome: Outcome) -> None:
     """Leave at `path` what became of a cell, for the supervisor to read."""
     write_json(path, vars(outcome))
 
@@ -145,7 +145,7 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
         forget_peak()
     else:
         settle()
-    post(AtWork.OPENING)
+    set_phase(Phase.OPENING)
     if not settled:
         limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
         if cell.solver_module:
@@ -158,7 +158,7 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
         settings=cell.settings,
         step_limit_s=STEP_SHARE * cell.limit_s,
     )
-    post(AtWork.HARNESS)
+    set_phase(Phase.HARNESS)
     return workspace
 
 
@@ -167,8 +167,8 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
     try:
         return _opened(cell, settled=settled)
     except InputError as error:
-        post(AtWork.HARNESS)
-        leave_verdict(folder / f"{name}.json", Outcome("refused", str(error)))
+        set_phase(Phase.HARNESS)
+        write_outcome(folder / f"{name}.json", Outcome("refused", str(error)))
         return None
 
 
@@ -184,7 +184,7 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     """Run the cells of one configuration, each with a raw log and a verdict of its own."""
     pin(core)
     for i, batch_cell in enumerate(cells):
-        post(AtWork.HARNESS, i)
+        set_phase(Phase.HARNESS, i)
         name = batch_cell.name
         cell = replace(Cell.from_json(batch_cell.cell), solver_module=batch_cell.module)
         workspace = _open(cell, folder, name, settled=i > 0)
@@ -195,7 +195,7 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             verdict = _steer(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source, batch_cell.hung)
-        leave_verdict(folder / f"{name}.json", verdict)
+        write_outcome(folder / f"{name}.json", verdict)
         # The collector is off while a solver works.
         del workspace
         gc.collect()
@@ -224,10 +224,10 @@ def _steer(
     with kept(source) as stored:
         setup.drawn = drawn_of(stored)
     before = counters()
-    post(AtWork.SOLVER)
+    set_phase(Phase.SOLVER)
     with interrupting(STEP_SHARE * cell.limit_s, clock):
         complete = closed_loop(setup)
-    post(AtWork.HARNESS)
+    set_phase(Phase.HARNESS)
     np.subtract(counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _verdict(cell, workspace, setup.solver, stopped)
@@ -245,7 +245,7 @@ def _replay_untimed(
     begin = hung[-1][0] if hung else 0
     with interrupting(STEP_SHARE * cell.limit_s, clock):
         complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
-    post(AtWork.HARNESS)
+    set_phase(Phase.HARNESS)
     return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
 
 
@@ -322,17 +322,17 @@ def _serve_replay(
         with interrupting(STEP_SHARE * cell.limit_s, clock):
             complete = configuration.round(r)
         orders.send(complete)
-    post(AtWork.HARNESS)
+    set_phase(Phase.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
     verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
-    leave_verdict(folder / f"{name}.json", verdict)
+    write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
         steps = affordable_steps(log)
-        post(AtWork.SOLVER)
+        set_phase(Phase.SOLVER)
         log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
-        post(AtWork.HARNESS)
+        set_phase(Phase.HARNESS)
     return True
 
 
@@ -352,7 +352,7 @@ def _replay_run(
     )
     if memory is not None:
         memory.loaded(log)
-    post(AtWork.SOLVER)
+    set_phase(Phase.SOLVER)
     configuration = ReplayRun(
         steps,
         timed_solver,
@@ -385,26 +385,28 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
         workspace = _opened(cell, settled=True)
         configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
         complete = all(configuration.round(r) for r in range(cell.rounds + 1))
-        post(AtWork.HARNESS)
+        set_phase(Phase.HARNESS)
         orders.send(complete)
         del workspace, configuration
         gc.collect()
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz); a verdict appears in `folder`."""
+    """Make the file behind a cell's QPs at `path` (.npz), unless a whole one is there; a verdict
+    appears in `folder`."""
     pin(core)
     settle()
-    part = path.with_suffix(".part.npz")
+    cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
-        source_file(Cell.from_json(text)).make(part)
-        part.replace(path)
+        if not is_readable(cell, path):
+            source_file(cell).make(part)
+            part.replace(path)
     except (CertificateError, InputError) as error:
-        leave_verdict(folder / f"{name}.json", Outcome("invalid", str(error)))
+        write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))
         return
     finally:
         part.unlink(missing_ok=True)
-    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
+    write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
@@ -416,10 +418,10 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     pin(core)
     settle()
     for i, batch_cell in enumerate(cells):
-        post(AtWork.HARNESS, i)
+        set_phase(Phase.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
         (folder / f"{batch_cell.name}.judged").write_bytes(_judged(batch_cell, log))
-        leave_verdict(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
+        write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
 def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:

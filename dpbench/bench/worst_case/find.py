@@ -20,7 +20,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.interrupts import one_interrupt
+from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.bench.workers.scratch import scratch_folder
 from dpbench.bench.worst_case.goal import GOALS, Goal, Worst
 from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
@@ -138,7 +138,7 @@ def find_worst_case(
     cell = _cell(solver, route, policy, settings, base)
     _make_room(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
-    with one_interrupt():
+    with first_signal_only():
         context = template_context([solver])
         with (
             scratch_folder() as folder,

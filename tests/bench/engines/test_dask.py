@@ -20,7 +20,7 @@ from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import accidents
-from dpbench.bench.workers.worker import make_source
+from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 from tests.bench.deterministic import assert_same
@@ -29,7 +29,8 @@ WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask = pytest.importorskip("dask", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
-DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.AHEAD
+dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
+DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.BATCHES_AHEAD
 # Its clusters have a worker on each core, which meets limits of real time.
 pytestmark = pytest.mark.alone
 
@@ -223,17 +224,18 @@ def test_workers_that_join_late_are_given_tasks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As many as those that were there from the beginning."""
-    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
-    task, results, away = DaskEngine._task, DaskEngine._results, [0, 0]
+    monkeypatch.setattr(dask_engine, "REFRESH_S", 0.0)
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
+    submit, results, away = DaskEngine.submit, DaskEngine._results, [0, 0]
 
-    def counted(self: Any, chunk: Any) -> Any:
+    def counted(self: Any, batch: Any) -> Any:
         away[0] += 1
         away[1] = max(away)
-        return task(self, chunk)
+        return submit(self, batch)
 
-    def counted_back(self: Any, chunk: Any, answer: Any) -> Any:
+    def counted_back(self: Any, *given: Any) -> Any:
         away[0] -= 1
-        return results(self, chunk, answer)
+        return results(self, *given)
 
     def join() -> None:
         assert away[1] <= AHEAD
@@ -242,7 +244,7 @@ def test_workers_that_join_late_are_given_tasks(
             client.wait_for_workers(2)
 
     late: list[subprocess.Popen[bytes]] = []
-    monkeypatch.setattr(DaskEngine, "_task", counted)
+    monkeypatch.setattr(DaskEngine, "submit", counted)
     monkeypatch.setattr(DaskEngine, "_results", counted_back)
     try:
         given = {"engine": "dask", "scheduler": scheduler[0], "progress": Watching(1, join)}
@@ -255,6 +257,66 @@ def test_workers_that_join_late_are_given_tasks(
     assert set(load_results(out).runs["outcome"]) == {"finished"}
 
 
+def _break_connection() -> None:
+    """What a network does to a client: the scheduler forgets what that asked for."""
+    for client in list(distributed.Client._instances):
+        client.loop.add_callback(client.scheduler_comm.comm.abort)
+
+
+def test_a_connection_that_breaks_and_comes_back_loses_nothing(
+    suite: Path,
+    tmp_path: Path,
+    scheduler: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Batches and sources on their way are handed over again."""
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
+    out = tmp_path / "out"
+    watching = Watching(3, _break_connection)
+    run_campaign(suite, out, engine="dask", scheduler=scheduler[0], progress=watching)
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+    assert accidents(out)[0] == 0
+
+
+OTHER_VERSION = """
+import dpbench.bench.record.cell
+dpbench.bench.record.cell.HARNESS_VERSION = "0.0.9"
+"""
+
+
+def test_a_late_worker_of_another_version_costs_no_cell(
+    suite: Path,
+    place: Path,
+    tmp_path: Path,
+    scheduler: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is refused before it is given work, and that is said."""
+    monkeypatch.setattr(dask_engine, "REFRESH_S", 0.1)
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
+    preload = tmp_path / "other.py"
+    preload.write_text(OTHER_VERSION, encoding="utf-8")
+    late: list[subprocess.Popen[bytes]] = []
+
+    def join() -> None:
+        late.append(started(place, *WORKER, "--preload", str(preload)))
+        with distributed.Client(scheduler[0], set_as_default=False) as client:
+            client.wait_for_workers(2)
+
+    watching = Watching(1, join)
+    try:
+        out = run_campaign(
+            suite, tmp_path / "out", engine="dask", scheduler=scheduler[0], progress=watching
+        )
+    finally:
+        for process in late:
+            process.kill()
+            process.wait()
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+    (remark,) = [text for text in watching.said if "0.0.9" in text]
+    assert "is given no cells" in remark
+
+
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     suite: Path,
     undisturbed: Path,
@@ -263,7 +325,8 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The campaign ends with what it has; the same suite completes it, on whatever engine."""
-    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
     address, process = scheduler
     watching = Watching(3, process.kill)
@@ -304,29 +367,28 @@ sides = 4
 
 def _dies_with_the_task(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
     """The scheduler has been given what makes the file."""
-    ask = DaskEngine._files
+    submit = DaskEngine.submit
 
-    def asked(self: Any, target: Any, texts: Any, limit_s: Any) -> Any:
-        future = ask(self, target, texts, limit_s)
-        if target is not make_source or '"kind": "capability"' in str(texts):
+    def submitted(self: Any, batch: Any) -> None:
+        submit(self, batch)
+        if isinstance(batch, jobs.FileBatch) and not batch.are_sources:
             kill()
-        return future
 
-    patch.setattr(DaskEngine, "_files", asked)
+    patch.setattr(DaskEngine, "submit", submitted)
 
 
 def _gone_before(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
     """Nobody tries to reach the scheduler any more when files are asked for."""
-    make = DaskEngine.make_files
+    submit = DaskEngine.submit
 
-    def made(self: Any, target: Any, descriptions: Any, **more: Any) -> Any:
-        if descriptions:
+    def submitted(self: Any, batch: Any) -> None:
+        if isinstance(batch, jobs.FileBatch) and not batch.are_sources:
             kill()
-            while self._client.status != "closed":
+            while self.cluster.client.status != "closed":
                 time.sleep(0.05)
-        return make(self, target, descriptions, **more)
+        submit(self, batch)
 
-    patch.setattr(DaskEngine, "make_files", made)
+    patch.setattr(DaskEngine, "submit", submitted)
 
 
 @pytest.mark.parametrize("dies", [_dies_with_the_task, _gone_before])
@@ -339,6 +401,7 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Designs and capability plots: exit 1, what was finished stands, the same command goes on."""
+    monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     path, out = tmp_path / "tiny.toml", tmp_path / "out"
     path.write_text(text, encoding="utf-8")
     words = ["run", str(path), "--out", str(out), "--quiet"]

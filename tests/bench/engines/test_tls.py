@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.engines.on_worker import about
+from dpbench.bench.engines.on_worker import worker_info
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 
@@ -59,8 +59,8 @@ def scheduler(files: list[str]) -> Iterator[str]:
 def test_with_its_files_a_scheduler_is_reached(scheduler: str, files: list[str]) -> None:
     """And what a client asks of it is done."""
     with connected(scheduler, files) as client:
-        answer = client.run_on_scheduler(about)
-    assert answer.harness_version == about().harness_version
+        answer = client.run_on_scheduler(worker_info)
+    assert answer.harness_version == worker_info().harness_version
 
 
 def test_a_scheduler_with_tls_refuses_others(

@@ -87,7 +87,7 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
 
 
 @pytest.mark.parametrize(
-    ("spent_s", "clean_rounds", "budget_s", "sated"),
+    ("spent_s", "clean_rounds", "budget_s", "budget_exhausted"),
     [
         (2.0, FEWEST_ROUNDS, 2.0, True),
         (1.99, FEWEST_ROUNDS, 2.0, False),
@@ -98,19 +98,21 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
     ],
 )
 def test_a_spent_budget_ends_a_replay_after_three_rounds(
-    spent_s: float, clean_rounds: int, budget_s: float, sated: bool
+    spent_s: float, clean_rounds: int, budget_s: float, budget_exhausted: bool
 ) -> None:
     """A worker stops once it has reached its budget and three undisturbed rounds."""
-    assert worker(spent_s, clean_rounds, budget_s).sated is sated
+    assert worker(spent_s, clean_rounds, budget_s).budget_exhausted is budget_exhausted
     assert FEWEST_ROUNDS == 3
 
 
-@pytest.mark.parametrize(("clean_rounds", "sated"), [(1, False), (2, True)])
-def test_a_spent_budget_ends_a_window_after_two_rounds(clean_rounds: int, sated: bool) -> None:
+@pytest.mark.parametrize(("clean_rounds", "budget_exhausted"), [(1, False), (2, True)])
+def test_a_spent_budget_ends_a_window_after_two_rounds(
+    clean_rounds: int, budget_exhausted: bool
+) -> None:
     """The steps of a window are the longest of all, and its budget is a share."""
     found = worker(9.0, clean_rounds, 2.0)
     found.cell = replace(found.cell, source=HardestSource("x", 450))
-    assert found.sated is sated
+    assert found.budget_exhausted is budget_exhausted
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,7 +17,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
-from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.finished_batch import BatchPart
@@ -27,7 +27,7 @@ from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.executor import CellJob, Result
+from dpbench.bench.workers.jobs import Result
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
@@ -269,7 +269,6 @@ FILLED = """
 import sys
 from pathlib import Path
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.cli.main import main
 # The room was there when it was looked for, and is gone when a worker comes for it.
 Path("/dev/shm/filling").write_bytes(bytes(2**20))
@@ -398,17 +397,17 @@ def test_a_source_damaged_after_it_was_looked_at(
     times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its cells run again with a new one, once; if that is damaged too, they are lost."""
-    out, left, made = copied / "out", [times], LocalEngine._make_sources
+    out, left, take = copied / "out", [times], Dispatcher._take_sources
     forget_cells(out)
 
-    def damaged(self: LocalEngine, jobs: list[CellJob]) -> Iterator[Result]:
-        yield from made(self, jobs)
+    def damaged(self: Dispatcher, results: Sequence[Result]) -> None:
+        take(self, results)
         for path in (out / "cells").glob("exact-*.npz") if left[0] > 0 else ():
             DAMAGE["flipped"](path)
         left[0] -= 1
 
     with monkeypatch.context() as patch:
-        patch.setattr(LocalEngine, "_make_sources", damaged)
+        patch.setattr(Dispatcher, "_take_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0

@@ -8,9 +8,12 @@ import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.workers.executor import alternating
+from dpbench.bench.workers.jobs import CellJob, cell_batches
 from dpbench.solvers import plugins
+from dpbench.solvers.table import Availability
 from tests.bench.deterministic import deterministic
 
 pytestmark = pytest.mark.slow
@@ -106,10 +109,38 @@ def test_a_crash_in_the_midst_of_a_batch_costs_one_cell(
     pd.testing.assert_frame_equal(kept, first, check_exact=True)
 
 
+def job(solver: str, seed: int, steps: int) -> CellJob:
+    cell = Cell(
+        mode="closed_loop",
+        scenario={"seed": seed},
+        steps=steps,
+        solver=solver,
+        route="native",
+        policy="fresh",
+        settings="default",
+        formulation="condensed_box",
+    )
+    return CellJob(PlannedCell(cell), f"{solver} {seed}", Availability(ok=True), "")
+
+
+def batches_of(jobs: list[CellJob], slots: int) -> list[list[str]]:
+    return [batch.names for batch in cell_batches("closed loops", jobs, slots)]
+
+
 def test_configurations_meet_a_sea_at_about_the_same_time() -> None:
     """The batches of all of them by turns, however many each has."""
-    assert alternating([["a1"], ["b1", "b2", "b3"], ["c1", "c2"]]) == [
-        *("a1", "b1", "c1"),
-        *("b2", "c2"),
-        "b3",
-    ]
+    jobs = [job(solver, sea, 3000) for solver in "abc" for sea in range({"a": 1}.get(solver, 2))]
+    found = [name for names in batches_of(jobs, 1) for name in names]
+    assert found == ["a 0", "b 0", "c 0", "b 1", "c 1"]
+
+
+def test_a_batch_is_worth_a_process_and_costs_little() -> None:
+    """A tenth of a second of work or more, and a second of it or a single cell at most, by the
+    stated rates; not more than 32 cells; one configuration."""
+    # A cell takes 9 ms and 0.25 ms a step: 11, 109 and 2509 ms here.
+    assert {len(names) for names in batches_of([job("a", i, 8) for i in range(60)], 512)} == {10}
+    assert max(map(len, batches_of([job("a", i, 8) for i in range(900)], 1))) == 32
+    assert {len(names) for names in batches_of([job("a", i, 400) for i in range(90)], 2)} == {9}
+    assert {len(names) for names in batches_of([job("a", i, 10**4) for i in range(9)], 2)} == {1}
+    both = [job(solver, i, 8) for i in range(5) for solver in "ab"]
+    assert [{name[0] for name in names} for names in batches_of(both, 1)] == [{"a"}, {"b"}]

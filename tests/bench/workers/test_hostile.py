@@ -15,9 +15,9 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import ENDED_TEMPLATE, Child, template_context
-from dpbench.bench.workers.notice import CUT, OUTPUT_BYTES
+from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, template_context
 from dpbench.bench.workers.orphans import children_of
+from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
 
 HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
@@ -37,8 +37,8 @@ steps = 3
 """
 SOLVER = """
 import os, signal, subprocess, time
-from dpbench.bench.workers.notice import AtWork, post
-post(AtWork.SOLVER)
+from dpbench.bench.workers.shared_status import Phase, set_phase
+set_phase(Phase.SOLVER)
 """
 """The head of a process in which the solver is at work."""
 DAEMON = """
@@ -113,7 +113,10 @@ def test_who_ends_the_template_is_found_and_pays(tmp_path: Path) -> None:
     became = run(tmp_path, 11, 12, 20)
     for n in (11, 12):
         found = became["hostile", n]
-        assert (found.outcome, found.detail) == (ENDED_TEMPLATE.outcome, ENDED_TEMPLATE.detail)
+        assert (found.outcome, found.detail) == (
+            KILLED_FORKSERVER.outcome,
+            KILLED_FORKSERVER.detail,
+        )
     assert became["hostile", 20].outcome == "finished"
 
 

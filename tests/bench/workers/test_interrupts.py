@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import pytest
 
 from dpbench.bench.workers.interrupts import (
+    first_signal_only,
     forget_interrupts,
-    interrupts_wait,
-    one_interrupt,
+    sigint_blocked,
     signals_wait,
     terminal_signals_blocked,
 )
@@ -34,7 +34,7 @@ def listens() -> Iterator[None]:
 def test_only_the_first_press_is_heard() -> None:
     """One KeyboardInterrupt, then silence until the block ends, then it is as before."""
     presses = 0
-    with one_interrupt():
+    with first_signal_only():
         for _ in range(3):
             try:
                 signal.raise_signal(signal.SIGINT)
@@ -50,7 +50,7 @@ def test_who_listens_already_goes_on_listening() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
     try:
-        with one_interrupt():
+        with first_signal_only():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
     finally:
@@ -59,7 +59,7 @@ def test_who_listens_already_goes_on_listening() -> None:
     found: list[object] = []
 
     def elsewhere() -> None:
-        with one_interrupt():
+        with first_signal_only():
             found.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=elsewhere)
@@ -71,7 +71,7 @@ def test_who_listens_already_goes_on_listening() -> None:
 def test_a_press_that_waits_is_heard_afterwards() -> None:
     """It is not lost, only late."""
     reached = False
-    with pytest.raises(KeyboardInterrupt), interrupts_wait():
+    with pytest.raises(KeyboardInterrupt), sigint_blocked():
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         reached = True
     assert reached
@@ -93,7 +93,7 @@ except KeyboardInterrupt:
 
 def test_a_process_started_so_drops_what_came_before_it_was_ready() -> None:
     """Ctrl-C while it loads does nothing; once it listens, it is interrupted like any other."""
-    with interrupts_wait():
+    with sigint_blocked():
         process = subprocess.Popen([sys.executable, "-c", CHILD], stdout=subprocess.PIPE, text=True)
     said, _ = process.communicate(timeout=60)
     assert (said.split(), process.returncode) == (["loaded", "interrupted"], 0)

@@ -14,7 +14,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import accidents
 from dpbench.bench.workers import batch, scratch
-from dpbench.bench.workers.child import ENDED_TEMPLATE
+from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 
@@ -125,7 +125,7 @@ def test_cells_whose_template_is_killed_run_once_more(
     out = run_campaign(path, tmp_path / "out", jobs=1, **arguments)
     runs = load_results(out).runs.set_index(["solver", "settings"])
     lost = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
-    died = [ENDED_TEMPLATE.outcome, ENDED_TEMPLATE.detail]
+    died = [KILLED_FORKSERVER.outcome, KILLED_FORKSERVER.detail]
     assert lost.T.to_dict("list") == {("admm", "high"): died}
     assert not is_running(int((tmp_path / "marker").read_text()))
 

@@ -12,7 +12,7 @@ import pytest
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import Child
-from dpbench.bench.workers.notice import AtWork
+from dpbench.bench.workers.shared_status import Phase
 
 VMSTAT = """nr_free_pages 1137
 pgfault 5512
@@ -46,20 +46,20 @@ def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return path
 
     monkeypatch.setattr(supervise, "Path", opened)
-    monkeypatch.setattr(supervise, "_start", lambda process, notice: None)
+    monkeypatch.setattr(supervise, "_start", lambda process: None)
     return path
 
 
-def killed(folder: Path, number: int, who: AtWork = AtWork.SOLVER) -> Child:
+def killed(folder: Path, number: int, who: Phase = Phase.SOLVER) -> Child:
     """Return a child killed by a signal while `who` was at work."""
     context = SimpleNamespace(Process=lambda **_: Ended(-number))
     child = Child(cast(Any, context), print, (), folder, "cell", limit_s=None)
-    child.notice.post(who)
+    child.notice.set_phase(who)
     return child
 
 
-@pytest.mark.parametrize("who", [AtWork.SOLVER, AtWork.OPENING, AtWork.HARNESS])
-def test_a_kill_for_want_of_memory_is_lost(who: AtWork, vmstat: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("who", [Phase.SOLVER, Phase.OPENING, Phase.HARNESS])
+def test_a_kill_for_want_of_memory_is_lost(who: Phase, vmstat: Path, tmp_path: Path) -> None:
     """A higher count of the kernel makes the outcome `lost`, whoever was at work."""
     child = killed(tmp_path, signal.SIGKILL, who)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")

@@ -10,7 +10,12 @@ import pytest
 
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, replay_layout
-from dpbench.bench.workers.interleaved import ROBBED_FACTOR, load_levels, most_robbed, repeat_robbed
+from dpbench.bench.workers.interleaved import (
+    ROBBED_FACTOR,
+    load_levels,
+    most_loaded_round,
+    rerun_loaded_rounds,
+)
 
 ROUNDS = 4
 QUIET_NS, BUSY_NS = 60_000.0, 100_000.0
@@ -47,7 +52,7 @@ def recorded(*busy: int) -> RawLog:
 def served(
     configurations: list[Replayed], logs: dict[str, RawLog], level_ns: float
 ) -> list[tuple[str, int]]:
-    """What `repeat_robbed` has served again, in rounds whose load kernel then takes `level_ns`."""
+    """What `rerun_loaded_rounds` serves again, in rounds whose load kernel takes `level_ns`."""
     again = []
 
     def serve(one: Replayed, r: int) -> None:
@@ -55,7 +60,7 @@ def served(
         one.spent_s += ROUND_S
         logs[one.run_id].load_kernel_ns[r] = level_ns
 
-    repeat_robbed(configurations, logs, serve, random.Random(0))
+    rerun_loaded_rounds(configurations, logs, serve, random.Random(0))
     return again
 
 
@@ -103,7 +108,7 @@ def test_a_configuration_that_stopped_is_left_alone() -> None:
         again.append(r)
         one.serving = False
 
-    repeat_robbed(
+    rerun_loaded_rounds(
         [dying, configuration("b", 10.0)], logs | {"b": recorded()}, serve, random.Random(0)
     )
     assert len(again) == 1
@@ -126,4 +131,4 @@ def test_the_level_of_a_round_is_that_of_its_quieter_side() -> None:
     assert LOAD_PASSES >= 3
     assert found[1] == found[2] == QUIET_NS
     assert np.isnan(found[[0, 3]]).all()
-    assert most_robbed(found, QUIET_NS) is None
+    assert most_loaded_round(found, QUIET_NS) is None

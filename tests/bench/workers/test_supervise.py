@@ -15,8 +15,8 @@ import pytest
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import WITHOUT_TEMPLATE, Child, template_context
-from dpbench.bench.workers.worker import leave_verdict
+from dpbench.bench.workers.child import FORKSERVER_DIED, Child, template_context
+from dpbench.bench.workers.worker import write_outcome
 
 # Limits of a second and less, which what else runs could use up.
 pytestmark = pytest.mark.alone
@@ -36,8 +36,8 @@ def wait(child: Child, seconds: float = 20.0) -> None:
 
 SOLVER = """
 import os, signal, time
-from dpbench.bench.workers.notice import AtWork, post
-post(AtWork.SOLVER)
+from dpbench.bench.workers.shared_status import Phase, set_phase
+set_phase(Phase.SOLVER)
 """
 """The head of a process in which the solver is at work; without it the harness is."""
 HARNESS = "import os, signal, time\n"
@@ -170,7 +170,7 @@ def test_a_process_killed_behind_its_verdict_keeps_it(
     """What a worker does after it said what became of the cell is no part of the cell."""
     child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
     assert not child.has_verdict
-    leave_verdict(tmp_path / "cell.json", Outcome("finished", ""))
+    write_outcome(tmp_path / "cell.json", Outcome("finished", ""))
     child.kill("" if child.has_verdict else "no verdict")
     assert child.outcome().outcome == "finished"
 
@@ -192,7 +192,7 @@ def test_a_template_that_is_killed_is_no_solver(
     code = SOLVER + "os.kill(os.getppid(), signal.SIGKILL)\ntime.sleep(600.0)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
     wait(child)
-    assert child.outcome() == WITHOUT_TEMPLATE and child.orphaned
+    assert child.outcome() == FORKSERVER_DIED and child.forkserver_died
     pid = child.process.pid
     assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     monkeypatch.setenv("OMP_NUM_THREADS", "7")

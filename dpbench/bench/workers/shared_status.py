@@ -32,13 +32,8 @@ _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""
 _TEMPLATE = struct.Struct("ii")
 """What the process was forked from, and the keeper of that; behind the head."""
-_NUMBER = struct.Struct("i")
-_COUNTS = _HEAD.size + _TEMPLATE.size
-"""Where it stands which start of the process counts, written by its supervisor."""
-_BEGAN = _COUNTS + _NUMBER.size
-"""Where it stands which process began, written by that."""
 _PEAK = struct.Struct("d")
-_PEAK_AT = _BEGAN + _NUMBER.size
+_PEAK_AT = _HEAD.size + _TEMPLATE.size
 """Where the peak of its memory [B] stands, of a process that ended by an exception."""
 _WORDS = _PEAK_AT + _PEAK.size
 _PACKAGE = Path(__file__).parents[2]
@@ -49,7 +44,7 @@ _BY_SOLVERS = (
 """Code of this package that only hands on what a solver does."""
 
 
-class AtWork(IntEnum):
+class Phase(IntEnum):
     """Who is at work in a process."""
 
     STARTING = 0
@@ -60,7 +55,7 @@ class AtWork(IntEnum):
     @property
     def blames_solver(self) -> bool:
         """Whether a process that ends now ends by its solver."""
-        return self >= AtWork.OPENING
+        return self >= Phase.OPENING
 
 
 class Output:
@@ -127,58 +122,38 @@ def _received(descriptor: Any) -> Output:
     return Output(descriptor.detach())
 
 
-class Notice:
-    """One process's page, shared with its supervisor; sent to the process as an argument.
+class SharedStatus:
+    """One process's page, shared with its supervisor; sent to the process as an argument."""
 
-    Parameters
-    ----------
-    start : which start of the process it was sent with.
-    """
-
-    def __init__(
-        self, descriptor: int | None = None, start: int = 0, output: Output | None = None
-    ) -> None:
-        self._start, self.output = start, output or Output()
+    def __init__(self, descriptor: int | None = None, output: Output | None = None) -> None:
+        self.output = output or Output()
         self._descriptor = os.memfd_create("dpbench-notice") if descriptor is None else descriptor
         if descriptor is None:
             # Written, not only made longer: this page must exist whatever becomes scarce.
             os.write(self._descriptor, bytes(mmap.PAGESIZE))
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
-    def __reduce__(self) -> tuple[Callable[..., Notice], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor), self._start, self.output)
+    def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
+        return _attached, (reduction.DupFd(self._descriptor), self.output)
 
     def handed_over(self) -> None:
         """The process has it; the descriptor is needed no more."""
         os.close(self._descriptor)
 
-    def start_anew(self) -> int:
-        """Before the process is started: of an earlier start, that its template did not live to
-        tell of, the process that began, for the caller to end; 0 for none. One that has not begun
-        ends by itself."""
-        self._start += 1
-        _NUMBER.pack_into(self._page, _COUNTS, self._start)
-        # Read behind that: whoever begins says so first, and then looks which start counts.
-        return int(_NUMBER.unpack_from(self._page, _BEGAN)[0])
-
     def begin(self) -> None:
-        """Say what this process was forked from, and that the harness is at work; a process whose
-        start no longer counts ends here."""
-        _NUMBER.pack_into(self._page, _BEGAN, os.getpid())
-        if _NUMBER.unpack_from(self._page, _COUNTS)[0] != self._start:
-            os._exit(0)
-        template = os.getppid()
-        orphans.end_with_parent(template)
+        """Say what this process was forked from, and that the harness is at work; end here if that
+        has died."""
+        orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
-        _TEMPLATE.pack_into(self._page, _HEAD.size, template, orphans.keeper_of_template)
-        self.post(AtWork.HARNESS)
+        _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
+        self.set_phase(Phase.HARNESS)
 
-    def post(self, who: AtWork, place: int | None = None) -> None:
+    def set_phase(self, who: Phase, place: int | None = None) -> None:
         """Say who is at work from now on, and on which cell of several."""
         at = self.place if place is None else place
         _HEAD.pack_into(self._page, 0, who, at, 0)
 
-    def leave(self, who: AtWork, words: str) -> None:
+    def record_exit(self, who: Phase, words: str) -> None:
         """Say by whose doing the process ends, and why."""
         text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
@@ -186,9 +161,9 @@ class Notice:
         _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
-    def who(self) -> AtWork:
+    def who(self) -> Phase:
         """Who is, or was at the end, at work."""
-        return AtWork(_HEAD.unpack_from(self._page)[0])
+        return Phase(_HEAD.unpack_from(self._page)[0])
 
     @property
     def place(self) -> int:
@@ -218,22 +193,21 @@ class Notice:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, start: int, output: Output) -> Notice:
+def _attached(descriptor: Any, output: Output) -> SharedStatus:
     """The notice in the process that it was sent to."""
-    number = descriptor.detach()
-    notice = Notice(number, start, output)
+    notice = SharedStatus(descriptor.detach(), output)
     notice.handed_over()
     return notice
 
 
-_here: list[Notice] = []
+_here: list[SharedStatus] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
-def post(who: AtWork, place: int | None = None) -> None:
+def set_phase(who: Phase, place: int | None = None) -> None:
     """Say who is at work in this process from now on, and on which cell of several."""
     for notice in _here:
-        notice.post(who, place)
+        notice.set_phase(who, place)
 
 
 def begin_output() -> None:
@@ -247,7 +221,7 @@ def output_cut() -> str:
     return CUT if any(notice.output.is_full for notice in _here) else ""
 
 
-def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> None:
+def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     """Run a process's target; what it raises ends the process, and is said on its notice."""
     _here[:] = [notice]
     notice.begin()
@@ -258,8 +232,8 @@ def run(notice: Notice, target: Callable[..., None], args: tuple[Any, ...]) -> N
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
         who = notice.who
         if isinstance(error, Exception) and not _through_solver(error.__traceback__):
-            who = AtWork.HARNESS
-        notice.leave(who, in_words(error))
+            who = Phase.HARNESS
+        notice.record_exit(who, in_words(error))
         raise SystemExit(1) from None
 
 

@@ -14,14 +14,14 @@ from dpbench.locks import Patience
 ENGINES = ("local", "dask")
 
 
-def opened(
+def open_engine(
     name: str,
     jobs: int | None = None,
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
     patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """The engine of that name, for one campaign.
+    """Open the engine of that name, for one campaign.
 
     Parameters
     ----------
@@ -41,16 +41,14 @@ def opened(
         raise InputError("--scheduler", "", f"{scheduler} with engine local", "--engine dask")
     if tls is not None and scheduler is None:
         raise InputError("--tls", "", "files without --scheduler", "--scheduler tls://HOST:8786")
-    cores = len(os.sched_getaffinity(0))
     if scheduler is not None and jobs is not None:
         found, allowed = f"{jobs} with --scheduler", "one of the two: its workers are there"
         raise InputError("--jobs", "", found, allowed)
-    if jobs is not None and not 1 <= jobs <= cores:
-        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
     lease_folder()
     if name == "local":
-        return LocalEngine(jobs or cores, patience)
+        return LocalEngine(slots, patience)
     if patience != Patience():
         raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
@@ -59,4 +57,12 @@ def opened(
     except ModuleNotFoundError as error:
         found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
         raise InputError("--engine", "", found, allowed) from error
-    return dask_engine(scheduler, jobs or cores, tls)
+    return dask_engine(scheduler, slots, tls)
+
+
+def count_slots(jobs: int | None) -> int:
+    """Return `jobs`, or all cores of this machine for None; InputError for more than there are."""
+    cores = len(os.sched_getaffinity(0))
+    if jobs is not None and not 1 <= jobs <= cores:
+        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+    return jobs or cores

@@ -1,0 +1,275 @@
+"""Cells and files on their way through an engine: order, sources, retries and counting.
+
+Closed loops run first, then timed replays, then problems without a deadline. A source, such as an
+exactly solved loop, takes as long as all of its cells together: it is made once, in a batch with
+others that are needed next, and is released after its last cell.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from dpbench.bench.engines.engine import Completed, Engine, EngineGoneError, HandOverError
+from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.workers.jobs import (
+    Batch,
+    CellBatch,
+    CellJob,
+    FileBatch,
+    Kind,
+    Result,
+    Target,
+    batch_seconds,
+    by_source,
+    cell_batches,
+    in_groups,
+    name_of,
+    work_of,
+)
+from dpbench.bench.workers.worker import make_source
+
+SOURCE_STEPS = 25_000
+"""Steps of the sources that exist at a time, for each slot: some 2 kB each."""
+SOURCE_S, SOURCE_STEP_S = 0.005, 0.0001
+"""Rates measured for `docs/guide/scale.md`: a source, and a step of it."""
+MOST_ATTEMPTS = 3
+"""How often a batch is handed over, until it is suspected of what ends its workers."""
+DIED = "every worker that it was given to died"
+
+
+class Dispatcher:
+    """Runs cells and makes files on an engine.
+
+    Parameters
+    ----------
+    sources : where the files behind QPs lie on the machine of the campaign.
+    """
+
+    def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
+        self._engine, self._sources, self._progress = engine, sources, progress
+        self._waiting = deque[CellBatch]()  # none of their sources is asked for
+        self._blocked = list[CellBatch]()  # some of their sources are being made
+        self._ready, self._in_flight = deque[Batch](), set[Batch]()
+        self._isolated = deque[Batch]()  # run once more, with nothing beside them
+        self._being_made, self._made, self._remade = set[str](), set[str](), set[str]()
+        self._failed: dict[str, Outcome] = {}
+        self._open_steps: dict[str, int] = {}  # of the sources that cells of this kind need
+        self._retried = set[str]()
+
+    def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
+        """Run cells; yield the result of each, once, when it is known."""
+        self._uses = Counter(job.source_key for job in jobs)
+        for kind, alike in _by_kind(jobs):
+            self._of_key = by_source(alike)
+            self._left = Counter(job.source_key for job in alike)
+            self._waiting.extend(cell_batches(kind, alike, self._engine.slots))
+            for batch, results in self._completed():
+                if isinstance(batch, CellBatch):
+                    yield from self._take_results(batch, results)
+                else:
+                    self._take_sources(results)
+
+    def make_files(
+        self, target: Target, texts: Mapping[Path, str], *, limit_s: float | None = None
+    ) -> Iterator[tuple[Path, Outcome]]:
+        """Make files from their descriptions, each in a process of its own that may take `limit_s`;
+        yield what became of each."""
+        self._ready.extend(FileBatch(target, {path: text}, limit_s) for path, text in texts.items())
+        for _, results in self._completed():
+            for result in results:
+                yield Path(result.run_id), result.outcome
+
+    def _completed(self) -> Iterator[Completed]:
+        """Hand over all batches; yield each with the results of it that stand."""
+        while True:
+            try:
+                self._request_sources()
+                yield from self._unblock()
+                self._hand_over()
+                if not (self._in_flight or self._waiting or self._blocked or self._isolated):
+                    return
+                for batch, results in self._engine.completed() if self._in_flight else ():
+                    self._in_flight.remove(batch)
+                    yield batch, [*results, *self._retry_unanswered(batch, results)]
+            except HandOverError:
+                yield from self._hand_over_again()
+            except EngineGoneError as error:
+                yield from self._give_up(str(error))
+
+    def _request_sources(self) -> None:
+        """Ask for the sources of the batches that come next, as many as may exist at a time."""
+        idle = not (self._ready or self._in_flight)
+        if self._isolated and idle:
+            batch = self._isolated.popleft()
+            if isinstance(batch, CellBatch):
+                self._waiting.appendleft(batch)
+            else:
+                self._ready.append(batch)
+                return
+        # Where times are taken no source is made beside them.
+        if not self._waiting or (self._waiting[0].is_timed and not idle):
+            return
+        limit, keys = SOURCE_STEPS * self._engine.slots, list[str]()
+        while self._waiting:
+            new = [key for key in self._waiting[0].source_keys if self._is_new(key)]
+            others = self._ready or self._in_flight or self._blocked
+            if new and others and sum(self._open_steps.values()) >= limit:
+                break
+            self._blocked.append(self._waiting.popleft())
+            self._being_made.update(new)
+            self._open_steps |= {key: longest(self._of_key[key]).last_step for key in new}
+            keys += new
+        self._ready.extend(self._source_batches(keys))
+
+    def _is_new(self, key: str) -> bool:
+        return not (key in self._made or key in self._being_made or key in self._failed)
+
+    def _source_batches(self, keys: Sequence[str]) -> Iterator[FileBatch]:
+        """Batches of the sources of these keys, each as long as the longest of its cells needs."""
+        seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
+        size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
+        for group in in_groups(keys, seconds.__getitem__, size_s):
+            cells = {self._sources.path(key): longest(self._of_key[key]) for key in group}
+            texts = {path: cell.to_json() for path, cell in cells.items()}
+            yield FileBatch(make_source, texts, are_sources=True)
+
+    def _unblock(self) -> Iterator[Completed]:
+        """Have batches run whose sources are made; yield their cells whose sources failed."""
+        blocked, self._blocked = self._blocked, []
+        for batch in blocked:
+            if not self._being_made.isdisjoint(batch.source_keys):
+                self._blocked.append(batch)
+                continue
+            failed = [job for job in batch.jobs if job.source_key in self._failed]
+            if failed:
+                results = [_without_source(job, self._failed[job.source_key]) for job in failed]
+                yield CellBatch(batch.kind, failed), results
+            batch.jobs = [job for job in batch.jobs if job.source_key not in self._failed]
+            if batch.jobs:
+                self._ready.append(batch)
+
+    def _hand_over(self) -> None:
+        while self._ready and self._fits(self._ready[0]):
+            self._engine.submit(self._ready[0])
+            self._in_flight.add(self._ready.popleft())
+
+    def _fits(self, batch: Batch) -> bool:
+        """Whether a batch may run beside those that the engine has."""
+        if not self._in_flight:
+            return True
+        other = next(iter(self._in_flight))
+        room = len(self._in_flight) < self._engine.capacity(timed=batch.is_timed)
+        return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
+
+    def _take_sources(self, results: Sequence[Result]) -> None:
+        keys = {str(self._sources.path(key)): key for key in self._being_made}
+        for result in results:
+            key = keys[result.run_id]
+            self._being_made.remove(key)
+            if result.outcome.outcome == "finished":
+                self._made.add(key)
+            else:
+                self._failed[key] = result.outcome
+
+    def _take_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
+        """Yield the results of a batch but those of cells that were lost with their source: these
+        run once more, from a new one."""
+        jobs = {job.run_id: job for job in batch.jobs}
+        lost = [jobs[result.run_id] for result in results if result.is_lost]
+        again = {job.run_id: job for job in lost if self._is_damaged(job)}
+        if again:
+            self._retried |= again.keys()
+            damaged = {job.source_key for job in again.values()} & self._made
+            self._made -= damaged
+            self._remade |= damaged
+            self._waiting.appendleft(CellBatch(batch.kind, [*again.values()]))
+        for result in results:
+            if result.run_id not in again:
+                self._count(batch, jobs[result.run_id])
+                yield result
+
+    def _is_damaged(self, job: CellJob) -> bool:
+        """Whether the source of a lost cell was damaged since it was made."""
+        key = job.source_key
+        if job.run_id in self._retried or key in self._failed:
+            return False
+        return key in self._remade or not self._engine.has_source(key, longest(self._of_key[key]))
+
+    def _count(self, batch: CellBatch, job: CellJob) -> None:
+        """Show the work of a cell that has its result; release its source behind the last one."""
+        shown = min(batch.shown_work, work_of(job.cell))
+        batch.shown_work -= shown
+        self._progress.advance(work_of(job.cell) - shown, name_of(job.cell))
+        key = job.source_key
+        self._left[key] -= 1
+        self._uses[key] -= 1
+        if not self._left[key]:
+            self._open_steps.pop(key, None)
+        if not self._uses[key]:
+            self._made.discard(key)
+            self._engine.release_source(key)
+
+    def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
+        """Run once more, isolated, what took a process along, or was taken along; return the
+        results of what was isolated before."""
+        names = set(batch.names) - {result.run_id for result in results}
+        if batch.isolated:
+            return [Result(name, Outcome("lost", DIED)) for name in names]
+        self._isolated.extend(batch.split_for_isolated_retry(names))
+        return []
+
+    def _hand_over_again(self) -> Iterator[Completed]:
+        """Have all run again that the engine dropped; a batch that it dropped `MOST_ATTEMPTS` times
+        may be the cause."""
+        dropped, self._in_flight = self._in_flight, set()
+        self._made.clear()
+        ready, self._ready = self._ready, deque()
+        for batch in dropped:
+            batch.attempts += 1
+            if batch.attempts == MOST_ATTEMPTS:
+                yield batch, self._retry_unanswered(batch, [])
+        ready.extendleft(batch for batch in dropped if batch.attempts < MOST_ATTEMPTS)
+        self._waiting.extendleft(self._blocked)
+        self._blocked.clear()
+        for batch in ready:
+            if isinstance(batch, CellBatch):
+                self._waiting.appendleft(batch)
+            else:
+                self._ready.append(batch)
+
+    def _give_up(self, reason: str) -> Iterator[Completed]:
+        """All that has no result is lost."""
+        cells = [*self._blocked, *self._waiting]
+        batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
+        for queue in (self._blocked, self._waiting, self._ready, self._isolated):
+            queue.clear()
+        self._in_flight.clear()
+        self._being_made.clear()
+        self._made.clear()
+        for batch in batches:
+            if isinstance(batch, CellBatch) or not batch.are_sources:
+                yield batch, [Result(name, Outcome("lost", reason)) for name in batch.names]
+
+
+def longest(jobs: Sequence[CellJob]) -> Cell:
+    """Return, of the cells of one source, the one that needs most of it."""
+    return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
+
+
+def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
+    """Yield cells in the order they run: nothing runs beside what is timed."""
+    replays = [job for job in jobs if job.cell.mode == "replay"]
+    yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
+    yield "replays", [job for job in replays if job.cell.is_timed]
+    yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
+
+
+def _without_source(job: CellJob, outcome: Outcome) -> Result:
+    """Return the result of a cell whose QPs could not be made."""
+    what = "exactly solved loop" if job.cell.scenario else "sequence"
+    became = "lost" if outcome.outcome == "lost" else "invalid"
+    return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

@@ -1,0 +1,231 @@
+"""Cells to be run and files to be made, what became of them, and what is handed over together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
+from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.finished_batch import BatchPart
+from dpbench.solvers.table import Availability
+
+Item = TypeVar("Item")
+CELL_S, STEP_S = 0.009, 0.00025
+"""Rates measured for `docs/guide/scale.md`: a cell, and a step of it with its judgement."""
+BATCH_CELLS = 32
+"""Cells of a batch at most."""
+SHORTEST_S, LONGEST_S = 0.1, 1.0
+"""Work of a batch by those rates, from the least worth a process to what an accident may cost (4000
+steps leave some 8 MB of raw logs). A longer cell is a batch of its own."""
+BATCHES_PER_SLOT = 4
+"""Batches of a slot at least, as far as that allows: all slots end at about the same time."""
+Kind = Literal["closed loops", "replays", "problems without a deadline"]
+Target = Callable[[str, Path, str, int, Path], None]
+"""Makes a file in a process, called as target(description, folder, name, core, path)."""
+
+
+@dataclass(eq=False)
+class CellJob:
+    """A planned cell on its way through the campaign.
+
+    machine_id : of the machine that its `run_id` is of.
+    """
+
+    planned: PlannedCell
+    run_id: str
+    library: Availability
+    machine_id: str
+    outcome: Outcome | None = None
+
+    @property
+    def cell(self) -> Cell:
+        """Its cell."""
+        return self.planned.cell
+
+    @cached_property
+    def source_key(self) -> str:
+        """Of the file behind its QPs."""
+        return self.cell.source_key(HARNESS_VERSION)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a cell, or of a file, whose `run_id` is its path.
+
+    part : the finished cells of its batch, one object for all of these; None where nothing is kept.
+    """
+
+    run_id: str
+    outcome: Outcome
+    part: BatchPart | None = None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether an accident of the harness cost it."""
+        return self.outcome.outcome == "lost"
+
+
+@dataclass(eq=False)
+class CellBatch:
+    """Cells of one configuration that share a process, or replays of one sequence.
+
+    Parameters
+    ----------
+    isolated : whether nothing else runs meanwhile, because an earlier process of it took others
+        along.
+    attempts : how often it was handed over in vain.
+    shown_work : what the progress bar shows of it before it is completed [steps].
+    """
+
+    kind: Kind
+    jobs: Sequence[CellJob]
+    isolated: bool = False
+    attempts: int = 0
+    shown_work: int = 0
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether nothing else may run on its machine."""
+        return self.kind == "replays"
+
+    @property
+    def names(self) -> list[str]:
+        """The `run_id` of each cell."""
+        return [job.run_id for job in self.jobs]
+
+    @property
+    def source_keys(self) -> list[str]:
+        """Of the files behind its QPs, each once."""
+        return [*by_source(self.jobs)]
+
+    def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
+        """Batches of those cells alone: replays of one sequence together, all others one by one."""
+        jobs = [job for job in self.jobs if job.run_id in names]
+        groups = [jobs] if self.is_timed else [[job] for job in jobs]
+        return [CellBatch(self.kind, group, isolated=True) for group in groups]
+
+
+@dataclass(eq=False)
+class FileBatch:
+    """Files that are made one after the other in one process.
+
+    Parameters
+    ----------
+    texts : the description of each file, by its path.
+    limit_s : what each may take; None for any time.
+    are_sources : whether cells need them: they lie wherever the cells run.
+    isolated, attempts : as of a `CellBatch`.
+    """
+
+    target: Target
+    texts: Mapping[Path, str] = field(default_factory=dict)
+    limit_s: float | None = None
+    are_sources: bool = False
+    isolated: bool = False
+    attempts: int = 0
+    is_timed = False
+
+    @property
+    def names(self) -> list[str]:
+        """The path of each file."""
+        return [str(path) for path in self.texts]
+
+    def split_for_isolated_retry(self, names: Collection[str]) -> list[FileBatch]:
+        """A batch of each of those files."""
+        return [
+            FileBatch(self.target, {path: text}, self.limit_s, self.are_sources, isolated=True)
+            for path, text in self.texts.items()
+            if str(path) in names
+        ]
+
+
+Batch = CellBatch | FileBatch
+
+
+def by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
+    """Group jobs by the key of the source of their QPs."""
+    of_key: dict[str, list[CellJob]] = {}
+    for job in jobs:
+        of_key.setdefault(job.source_key, []).append(job)
+    return of_key
+
+
+def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
+    """Group replay jobs by the QPs they see; those of a group are timed by turns."""
+    groups: dict[str, list[CellJob]] = {}
+    for job in jobs:
+        groups.setdefault(job.cell.problem_key, []).append(job)
+    return list(groups.values())
+
+
+def configuration_key(cell: Cell) -> tuple[str, ...]:
+    """Return a key of the cells that may share a process with this one."""
+    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
+
+
+def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
+    """Cut jobs of one kind into batches for so many slots.
+
+    All configurations meet a sea at about the same time, so that its source is released soon.
+    """
+    if kind == "replays":
+        return [CellBatch(kind, group) for group in interleaved(jobs)]
+    alike: dict[tuple[str, ...], list[CellJob]] = {}
+    for job in jobs:
+        alike.setdefault(configuration_key(job.cell), []).append(job)
+    size_s = batch_seconds(sum(expected_seconds(job) for job in jobs), slots)
+    groups = [g for some in alike.values() for g in in_groups(some, expected_seconds, size_s)]
+    turn = {key: i for i, key in enumerate(by_source(jobs))}
+    groups.sort(key=lambda group: turn[group[0].source_key])
+    return [CellBatch(kind, group) for group in groups]
+
+
+def batch_seconds(total_s: float, slots: int) -> float:
+    """Return the least work of a batch of which there are enough for all slots [s]."""
+    return min(LONGEST_S, max(SHORTEST_S, total_s / (BATCHES_PER_SLOT * slots)))
+
+
+def in_groups(
+    items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
+) -> Iterator[list[Item]]:
+    """Cut items into groups that take `size_s` or more, and `LONGEST_S` at most."""
+    group: list[Item] = []
+    total_s = 0.0
+    for item in items:
+        seconds = seconds_of(item)
+        if group and total_s + seconds > LONGEST_S:
+            yield group
+            group, total_s = [], 0.0
+        group.append(item)
+        total_s += seconds
+        if total_s >= size_s or len(group) == BATCH_CELLS:
+            yield group
+            group, total_s = [], 0.0
+    if group:
+        yield group
+
+
+def expected_seconds(job: CellJob) -> float:
+    """Return what a cell takes by the measured rates."""
+    return CELL_S + STEP_S * work_of(job.cell)
+
+
+def work_of(cell: Cell) -> int:
+    """Count the steps a cell will take, for the progress bar."""
+    return cell.steps * max(1, cell.rounds)
+
+
+def name_of(cell: Cell) -> str:
+    """Return what the progress bar calls a cell."""
+    return f"{cell.solver} {cell.scenario_name or cell.sequence}"
+
+
+def solvers_of(jobs: Iterable[CellJob]) -> list[str]:
+    """Name the solvers of cells, and their backups, each once."""
+    names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
+    return [*dict.fromkeys(names)]
