@@ -57,6 +57,11 @@ def _remove(folder: Path) -> None:
             return
 
 
+_held: list[object] = []
+"""What holds the folder of this process. A fork by `multiprocessing` clears the finalizers that it
+inherits; were they all that refers to it, the fork would remove the folder of its parent."""
+
+
 @cache
 def process_folder() -> Path:
     """Return a folder of this process on the disk for temporary files, gone when the process ends.
@@ -67,6 +72,7 @@ def process_folder() -> Path:
     """
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
+    _held.append(made)
     # In this process and in no fork of it, after the sockets in it are closed.
     Finalize(None, made.__exit__, args=(None, None, None), exitpriority=_LAST)
     return folder

@@ -50,3 +50,24 @@ def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
     assert (left / "log").is_file(), "nobody tidied up"
     with temporary_folder(tmp_path) as folder:
         assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
+
+
+FORK = """
+import multiprocessing, sys, tempfile, time
+from dpbench.temporary_folders import process_folder
+tempfile.tempdir = sys.argv[1]
+folder = process_folder()
+child = multiprocessing.get_context("fork").Process(target=print)
+child.start()
+child.join()
+print(folder.is_dir())
+"""
+
+
+@pytest.mark.slow
+def test_a_fork_does_not_take_the_folder_of_its_parent(tmp_path: Path) -> None:
+    """`multiprocessing` clears in it what would run at the end of the parent."""
+    command = [sys.executable, "-c", FORK, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True"]
+    assert _names(tmp_path) == [], "it goes with the parent"

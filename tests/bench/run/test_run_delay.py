@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import subprocess
+import sys
 import threading
 import time
 from typing import Any
 
 import pytest
 
-from dpbench.bench.run import run_delay as module
 from dpbench.bench.run.run_delay import RunDelay, run_delay
-
-
-def _spin() -> None:
-    while True:
-        pass
 
 
 def _work_ms(ms: float) -> None:
@@ -36,9 +31,11 @@ def one_core() -> Any:
 
 def test_a_shared_core_is_waited_for(one_core: None) -> None:
     """Beside an endless loop, 100 ms of work wait for some 100 ms, and for no more than passed."""
-    other = multiprocessing.get_context("fork").Process(target=_spin, daemon=True)
-    other.start()
+    other = subprocess.Popen(
+        [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
+    )
     try:
+        assert other.stdout is not None and other.stdout.readline() == b"\n"
         delay, began_ns, used_ns = RunDelay(), time.perf_counter_ns(), time.thread_time_ns()
         _work_ms(100.0)
         waited_ns = delay.since_last()
@@ -46,7 +43,7 @@ def test_a_shared_core_is_waited_for(one_core: None) -> None:
         used_ns = time.thread_time_ns() - used_ns
     finally:
         other.kill()
-        other.join()
+        other.communicate()
     assert waited_ns > 10e6
     # What passed was work or wait, but for what lies between the readings.
     assert waited_ns == pytest.approx(passed_ns - used_ns, abs=0.2 * passed_ns)
@@ -79,11 +76,11 @@ def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.Mon
     def missing(path: str, flags: int) -> int:
         raise FileNotFoundError(path)
 
-    monkeypatch.setattr(module.os, "open", missing)
+    monkeypatch.setattr(os, "open", missing)
     assert RunDelay().since_last() == -1
     monkeypatch.undo()
     delay = RunDelay()
-    monkeypatch.setattr(module.os, "pread", lambda file, size, at: b"12")
+    monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
     assert delay.since_last() == -1
     monkeypatch.undo()
     assert delay.since_last() == -1
