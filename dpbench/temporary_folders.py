@@ -58,8 +58,8 @@ def _remove(folder: Path) -> None:
 
 
 _held: list[object] = []
-"""What holds the folder of this process. A fork by `multiprocessing` clears the finalizers that it
-inherits; were they all that refers to it, the fork would remove the folder of its parent."""
+"""Context that holds the folder of this process. A fork by `multiprocessing` clears the finalizers
+that it inherits; without another reference to the context it would remove its parent's folder."""
 
 
 @cache

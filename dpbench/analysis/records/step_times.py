@@ -65,8 +65,8 @@ DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
 OWN_SHARE = 0.1
-"""Of a limit: a timing is late by the step's own doing if this much is, net of the base time and of
-the wait for the core. Refilling a cache after a wait takes a hundredth of it."""
+"""Share of a limit that must be a step's own time, net of its base time and of its wait for the
+core, for its timing to be late. Refilling a cache after a wait takes a hundredth of it."""
 
 
 @dataclass(frozen=True, eq=False)

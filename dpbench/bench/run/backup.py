@@ -95,7 +95,7 @@ class LoopWithBackup:
 
     @property
     def waited_ns(self) -> int:
-        """That of the solver."""
+        """Wait for the core in the last answer of the solver [ns]; −1 if unknown."""
         return self._solver.waited_ns
 
     @property

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import time
+from math import isnan
 
 import numpy as np
 import pytest
 
+from dpbench.bench.run.footprint import heap_bytes
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
@@ -243,26 +244,7 @@ def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
     np.testing.assert_allclose(workspace.read().z, certify(base).z, atol=1e-6)
 
 
-class _Heap(ctypes.Structure):
-    """What glibc tells of its heap (`struct mallinfo2`)."""
-
-    _fields_ = tuple(
-        (name, ctypes.c_size_t)
-        for name in (
-            *("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks"),
-            *("uordblks", "fordblks", "keepcost"),
-        )
-    )
-
-
-def allocated_bytes():
-    """Memory that libraries allocated and did not free."""
-    ask = ctypes.CDLL(None).mallinfo2
-    ask.restype = _Heap
-    return ask().uordblks
-
-
-@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="glibc before 2.33")
+@pytest.mark.skipif(isnan(heap_bytes()), reason="only glibc 2.33 and later shows its heap")
 @pytest.mark.parametrize("solver", ["osqp", "qoco"])
 def test_a_step_leaves_no_memory_behind(solver, sequence):
     """Not even the 32 B of an answer that the interface of a library makes and forgets."""
@@ -270,10 +252,10 @@ def test_a_step_leaves_no_memory_behind(solver, sequence):
     growth = []
     # A leak grows in each window, what is allocated once in some.
     for _ in range(5):
-        before = allocated_bytes()
+        before = heap_bytes()
         answers(workspace, sequence.base, steps)
         gc.collect()
-        growth.append(allocated_bytes() - before)
+        growth.append(heap_bytes() - before)
     assert min(growth) < 8 * len(steps), growth
 
 
