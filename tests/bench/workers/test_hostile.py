@@ -19,6 +19,7 @@ from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, template_conte
 from dpbench.bench.workers.orphans import children_of
 from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
+from tests.processes import is_running
 
 HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
 SUITE = """
@@ -78,14 +79,6 @@ def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
         )
         for solver, sequence, outcome, detail, peak in keep.itertuples(index=False)
     }
-
-
-def is_running(pid: int) -> bool:
-    """Whether there is such a process, and it is not dead."""
-    try:
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False
 
 
 @pytest.mark.slow

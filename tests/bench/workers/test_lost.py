@@ -8,7 +8,6 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from dpbench import load_results, run_campaign
@@ -17,6 +16,7 @@ from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
@@ -128,14 +128,6 @@ def test_cells_whose_template_is_killed_run_once_more(
     died = [KILLED_FORKSERVER.outcome, KILLED_FORKSERVER.detail]
     assert lost.T.to_dict("list") == {("admm", "high"): died}
     assert not is_running(int((tmp_path / "marker").read_text()))
-
-
-def is_running(pid: int) -> bool:
-    """Whether there is such a process, and it is not dead."""
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 @pytest.mark.alone  # the one template dies while it starts the workers of a group, in real time

@@ -10,7 +10,6 @@ from types import FrameType, SimpleNamespace
 from typing import cast
 
 import pandas as pd
-import psutil
 import pytest
 
 from dpbench import load_results, run_campaign
@@ -22,6 +21,7 @@ from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup, ReplayWorker
 from dpbench.solvers import plugins
 from tests.bench.deterministic import deterministic
+from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
@@ -125,20 +125,12 @@ def pids(suite: Path) -> list[int]:
     return [int(line) for line in suite.with_name("pids").read_text().splitlines()]
 
 
-def is_alive(pid: int) -> bool:
-    """Whether there is such a process, and it is not dead."""
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
 def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> None:
     """It ends with them; each has its own rows, and its memory is measured."""
     results = run(suite)
     assert len(pids(suite)) == len(SEQUENCES)
     assert len(set(pids(suite))) == 1
-    assert not is_alive(pids(suite)[0])
+    assert not is_running(pids(suite)[0])
     assert list(results.runs["sequence"]) == list(SEQUENCES)
     assert set(results.runs["outcome"]) == {"finished"}
     assert set(results.runs["steps_done"]) == {STEPS}
@@ -167,7 +159,7 @@ def test_an_end_in_one_sequence_costs_no_other(
     assert len(set(served[:place])) == 1
     assert len(set(served[place:])) <= 1
     assert not set(served[:place]) & set(served[place:])
-    assert not any(map(is_alive, served))
+    assert not any(map(is_running, served))
 
 
 @pytest.mark.alone  # What else runs could use up a limit of one second.
@@ -185,7 +177,7 @@ def test_a_hang_is_followed_by_a_process_that_goes_on(
     hung = results.steps[results.steps["status"] == "TIME_LIMIT"]
     assert set(hung["run_id"]) == {results.runs["run_id"].iloc[place - 1]}
     assert hung["k"].nunique() == 1 and set(hung["repeat"]) == {1, 2}
-    assert len(set(pids(suite))) == 2 and not any(map(is_alive, pids(suite)))
+    assert len(set(pids(suite))) == 2 and not any(map(is_running, pids(suite)))
 
 
 @pytest.mark.alone  # What else runs could use up a limit of one second.
@@ -199,7 +191,7 @@ def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Pat
     wanted[place - 1] = "timed_out"
     assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
     assert "stopped after 1 s in round 1" in results.runs["outcome_detail"].iloc[place - 1]
-    assert len(set(pids(suite))) == 1 and not is_alive(pids(suite)[0])
+    assert len(set(pids(suite))) == 1 and not is_running(pids(suite)[0])
 
 
 @contextmanager
@@ -271,7 +263,7 @@ def test_ctrl_c_leaves_no_process(suite: Path) -> None:
         )
     served = pids(suite)
     assert len(served) == 2
-    assert not any(map(is_alive, served))
+    assert not any(map(is_running, served))
 
 
 class _Stopped:

@@ -9,7 +9,6 @@ from multiprocessing.popen_forkserver import Popen
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 
 from dpbench.bench.record.cell import Outcome
@@ -17,6 +16,7 @@ from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import FORKSERVER_DIED, Child, template_context
 from dpbench.bench.workers.worker import write_outcome
+from tests.processes import is_running
 
 # Limits of a second and less, which what else runs could use up.
 pytestmark = pytest.mark.alone
@@ -193,8 +193,7 @@ def test_a_template_that_is_killed_is_no_solver(
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
     wait(child)
     assert child.outcome() == FORKSERVER_DIED and child.forkserver_died
-    pid = child.process.pid
-    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    assert child.process.pid is not None and not is_running(child.process.pid)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     left = "its process left with exit code 255: no output"
     code = SOLVER + "os._exit(255 if os.environ['OMP_NUM_THREADS'] == '1' else 1)"
@@ -226,7 +225,7 @@ def test_of_two_processes_of_one_start_one_lives(
     code = f"import os, time\nopen({str(file)!r}, 'a').write(f'{{os.getpid()}} ')\ntime.sleep(60)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0, logs=False)
     deadline = time.monotonic() + 20.0
-    while psutil.pid_exists(begun[0]) or not has_come(file, child):
+    while is_running(begun[0]) or not has_come(file, child):
         assert time.monotonic() < deadline, "two are at work"
         time.sleep(0.01)
     came = [int(pid) for pid in file.read_text().split()]
