@@ -52,7 +52,7 @@ SUITE: dict[str, Any] = {
     "rounds": 5,
     "warmup_steps": 50,
     "cell_limit_s": 5.0,
-    "demand": {"error_move": 1e-2, "failed_steps": 0, "p99_ms": 3.0, "deadline_ms": 300.0},
+    "requirements": {"error_move": 1e-2, "failed_steps": 0, "p99_ms": 3.0, "deadline_ms": 300.0},
     "harness_version": "0.1.0",
     "started_utc": "2026-01-01T00:00:00+00:00",
     "wall_s": 300.0,

@@ -14,11 +14,11 @@ GROUPS = {
 }
 INTRODUCTION = f"""# Columns
 
-A result folder has two tables. `runs.parquet` has a row for each cell: a problem, a solver, a way
-to run it. `steps.parquet` has a row for each step of each. Times are whole nanoseconds, everything
-else is in SI units. What is not known is missing (NaN or null), never made up; `Int64` is a whole
-number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How the figures
-are computed stands in [Method](../method.md).
+A result folder has two tables. `runs.parquet` has a row for each cell: a problem, a solver and
+its call mode. `steps.parquet` has a row for each step of each. Times are whole nanoseconds,
+everything else is in SI units. What is not known is missing (NaN or null), never made up; `Int64`
+is a whole number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How
+the figures are computed stands in [Method](../method.md).
 
 `load_results(folder).runs` and `.steps` are the two tables as data frames, with all columns below.
 """

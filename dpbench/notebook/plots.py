@@ -16,7 +16,7 @@ class JudgedRun(Protocol):
 
     @property
     def label(self) -> str:
-        """The solver, and the way it was called."""
+        """The solver, and its call mode."""
 
     @property
     def steps(self) -> pd.DataFrame:
@@ -42,11 +42,11 @@ class RunPlots:
 
     def steps(self) -> Any:
         """Step time, error of the first move, iterations and forces over the steps."""
-        from dpbench.analysis.verdict.demand import Demand
+        from dpbench.analysis.verdict.requirements import Requirements
         from dpbench.report.charts.steps import strips
 
         run = self._run
-        return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
+        return strips(_steps_of(run.steps), _forces_of(run), Requirements().error_move)
 
     def ship(self, *others: JudgedRun) -> Any:
         """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).

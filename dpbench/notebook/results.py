@@ -39,7 +39,7 @@ class Results(result_folder.Results):
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the analysis by name: the ones below, runs, places, and the topics'."""
+        """All tables of the analysis by name: those below, runs, experiments, and the topics'."""
         return self._report.tables
 
     def verdict(self) -> pd.DataFrame:

@@ -64,7 +64,7 @@ class Run:
 
     @property
     def label(self) -> str:
-        """The solver, and the way it was called."""
+        """The solver, and its call mode."""
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property

@@ -42,7 +42,7 @@ def tables_of(
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts(data, recommendation),
-        "places": tile_table(data),
+        "experiments": tile_table(data),
         "hard_steps": hard_step_table(data, data.kept),
         "ladder": _ladder(data),
         "paired_ratios": ratio_table(data),
@@ -93,5 +93,5 @@ def _verdicts(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]
-        table.insert(list(table).index("outcome") + 1, "why", why)
+        table.insert(list(table).index("verdict") + 1, "why", why)
     return table

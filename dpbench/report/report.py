@@ -16,7 +16,7 @@ from dpbench.analysis.times.machine import (
     disturbance_of,
     timed_runs,
 )
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
@@ -30,7 +30,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import topics_of
 from dpbench.report.verdict_text import counted
 
-TERMINAL_NOTES = ("slower", "faster", "open", "next")
+TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
 """The notes of the recommendation that are worth a line on a terminal."""
 BESIDE = ("slowdown", "random", "consequence")
 """Topics that have a line of their own there where they are not the answer."""
@@ -60,8 +60,8 @@ class Report:
         designs, capability : what lies beside them, see `topics_of`; baseline : as in
             `write_report`.
         """
-        records, demand = Records(results), Demand.of(results.suite)
-        data = PageData.of(records, verdicts_of(records, demand))
+        records, requirements = Records(results), Requirements.of(results.suite)
+        data = PageData.of(records, verdicts_of(records, requirements))
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it

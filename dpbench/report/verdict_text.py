@@ -10,9 +10,9 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.pairs import PairedComparison
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import SolverChoice, best_of_each, known_record
 from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, detail
 from dpbench.report.formats import (
     and_list,
@@ -28,48 +28,49 @@ from dpbench.report.formats import (
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
-def demand_text(demand: Demand) -> str:
-    """The demand in one sentence."""
-    share = f"{100.0 * demand.p99_ms / demand.deadline_ms:.2g}"
+def requirements_text(requirements: Requirements) -> str:
+    """The requirements in one sentence."""
+    share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
-        if demand.failed_steps == 0
-        else (f"at most {plural(demand.failed_steps, 'failed step')} a run")
+        if requirements.failed_steps == 0
+        else (f"at most {plural(requirements.failed_steps, 'failed step')} a run")
     )
     return (
-        f"The demand: on every step the first move within {demand.error_move:g} of "
+        f"The requirements: on every step the first move within {requirements.error_move:g} of "
         f"a rate-limit step of the certified optimum, {failed}, a p99 of the algorithmic step time "
-        f"of at most {demand.p99_ms:g} ms ({share} % of the deadline), and every step within the "
-        f"deadline of {demand.deadline_ms:g} ms."
+        f"of at most {requirements.p99_ms:g} ms ({share} % of the deadline), and every step within "
+        f"the deadline of {requirements.deadline_ms:g} ms."
     )
 
 
 def counted(verdicts: Verdicts) -> str:
-    """Count the solvers by their best outcome: meets as they come or only otherwise, borderline,
-    misses, open, not run; every solver once."""
+    """Count the solvers by their best verdict: pass at their default or only otherwise, and
+    the others; every solver once."""
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
     groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
     for reference in verdicts.references:
         solver = reference.configuration.solver
-        if best[solver].outcome != "meets":
-            groups[best[solver].outcome].append(solver)
-        elif reference.outcome == "meets":
+        if best[solver].state != "pass":
+            groups[best[solver].state].append(solver)
+        elif reference.state == "pass":
             groups["default"].append(solver)
         else:
-            groups["meets"].append(best[solver].configuration.label)
+            groups["pass"].append(best[solver].configuration.label)
     run, good = len(best) - len(groups["not run"]), len(groups["default"])
-    said = [f"{good} of {run} meet the demand"] if good or not groups["open"] else []
+    said = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
     said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
     return "; ".join(said)
 
 
 _GROUPS = {
-    "meets": "only otherwise",
+    "pass": "only otherwise",
     "borderline": "borderline",
-    "misses": "miss it",
-    "open": "open",
+    "late": "late",
+    "fail": "fail",
+    "inconclusive": "inconclusive",
     "not run": "not run",
 }
 
@@ -90,15 +91,15 @@ def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice)
     """Why nothing is recommended."""
     if recommendation.faster is not None:
         return (
-            "Nothing that can go aboard meets the demand; "
+            "Nothing that can go aboard passes; "
             f"{recommendation.faster.configuration.label} does: {recommendation.because}."
         )
     if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
-    outcomes = {verdict.outcome for verdict in verdicts.all}
-    if "open" in outcomes:
-        return "Nothing is recommended while it is open whether a solver meets the demand."
-    return "Nothing is recommended: no solver meets the demand in any configuration that was run."
+    states = {verdict.state for verdict in verdicts.all}
+    if "inconclusive" in states:
+        return "Nothing is recommended while the verdict on a solver is inconclusive."
+    return "Nothing is recommended: no solver passes in any configuration that was run."
 
 
 def usual_time(verdict: Verdict) -> str:
@@ -130,7 +131,7 @@ def clauses(findings: Sequence[Finding]) -> str:
 
 
 _WORDS = {
-    "no answer": "it leaves steps without an answer in {places}",
+    "no answer": "it leaves steps without an answer in {experiments}",
     "inaccurate": "its first move is up to {error} of a rate-limit step off the optimum in {where}"
     "{also_over}",
     "failed": "{value:.0f} of {of} fail in {where}{some_also}",
@@ -171,7 +172,7 @@ _WORDS = {
     "short slow loop": "the median of its few timings is {time} in {where}, a closed loop{also}",
     "no closed loop": "no closed loop was run",
     "no replay": "no replay was run, so its time is not judged",
-    "absent": "not run in {places}",
+    "absent": "not run in {experiments}",
     "refused": "not run in {where} ({detail})",
     "short": "not run whole in {where} ({planned} of {steps})",
 }
@@ -183,13 +184,13 @@ def clause(finding: Finding) -> str:
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
-    also = _places(others)
+    also = _experiments_text(others)
     rounds = first.rounds
     done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
     return _WORDS[finding.kind].format(
         **words,
         where=where(first),
-        places=_places(finding.runs),
+        experiments=_experiments_text(finding.runs),
         detail=detail(first),
         outcome=first.outcome,
         planned=count_text(first.steps_planned),
@@ -202,18 +203,18 @@ def clause(finding: Finding) -> str:
         machine=share_text(finding.machine),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
-        also_over=f" (over the demand also in {also})" if also else "",
+        also_over=f" (over the requirements also in {also})" if also else "",
     )
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """What the answer at one place of a run is worth."""
+    """What the answer at one step of a run is worth."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
 def where(row: RunRecord) -> str:
-    """The place of a run in words."""
+    """The scenario or replay of a run in words."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -221,7 +222,7 @@ def where(row: RunRecord) -> str:
     return f"`{row.scenario}`"
 
 
-def _places(rows: Sequence[RunRecord]) -> str:
+def _experiments_text(rows: Sequence[RunRecord]) -> str:
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]

@@ -57,6 +57,9 @@ class FileModel(BaseModel):
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
 
+    refused_keys: ClassVar[dict[str, str]] = {}
+    """Old names of keys that are refused, with what they are called now."""
+
     later_keys: ClassVar[frozenset[str]] = frozenset()
     """Keys that came later: at their default they are not written, so that documents of before stay
     equal, byte for byte."""
@@ -187,6 +190,8 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
+            if new := getattr(model, "refused_keys", {}).get(key):
+                raise InputError(where, key, "an old name", f"{new}, its name now") from error
             allowed = one_of(keys[-1], _allowed_keys(model, keys[:-1]))
             raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":

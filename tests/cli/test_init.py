@@ -57,7 +57,7 @@ def test_the_three_files_are_of_one_ship(capsys: pytest.CaptureFixture[str]) -> 
     path, suite = load_suite(FILES[2])
     cells = plan(suite, beside=path.parent)
     assert {cell.cell.solver for cell in cells} >= {"daqp", "quadprog", "osqp"}
-    assert suite.demand.deadline_ms == pytest.approx(1000 * scenario.sample_s)
+    assert suite.requirements.deadline_ms == pytest.approx(1000 * scenario.sample_s)
 
 
 def test_the_vessel_file_says_how_it_was_made() -> None:

@@ -71,3 +71,12 @@ def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
         load_file(path, ())
     plugin = find_plugin("old_admm")
     assert plugin is not None and set(plugin.record.levels) == {"low", "mid", "high"}
+
+
+def test_a_refused_key_of_a_suite_names_the_new_one(tmp_path: Path, capsys: Any) -> None:
+    """`[demand]` is refused in one line that names `requirements`."""
+    path = tmp_path / "old.toml"
+    path.write_text('title = "Old"\n[demand]\np99_ms = 2.0\n[[replay]]\nscenario = "paper"\n')
+    assert main(["check", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "demand" in line and "requirements" in line

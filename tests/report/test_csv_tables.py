@@ -48,7 +48,7 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
     for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
         who = verdict.configuration
         named = row["solver"], row["route"], row["policy"], row["settings"], row["outcome"]
-        assert named == (who.solver, who.route, who.policy, who.settings, verdict.outcome)
+        assert named == (who.solver, who.route, who.policy, who.settings, verdict.state)
         for name in ("error_move", "failed_steps", "steps", "closed_loops", "replays"):
             attribute = {"closed_loops": "loops"}.get(name, name)
             np.testing.assert_equal(float(row[name]), float(getattr(verdict, attribute)))
@@ -74,14 +74,14 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
         assert values[list(own.k).index(row["k"])] == pytest.approx(value, rel=1e-12)
 
 
-def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
+def test_every_experiment_and_level_of_a_solver_has_a_row(written: Any) -> None:
     """States are those of the facts, run or not."""
     facts = written.report.data
-    table = _table(written.folder, "places")
+    table = _table(written.folder, "experiments")
     solvers, levels = len(facts.verdicts.of), len(facts.levels)
-    assert len(table) == solvers * levels * len(facts.places)
+    assert len(table) == solvers * levels * len(facts.experiments)
     for row in table.to_dict("records"):
-        assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
+        assert row["state"] == facts.state(int(row["id"]), int(row["experiment_id"]))
 
 
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
@@ -135,5 +135,5 @@ def test_the_legend_explains_every_table_and_column(written: Any) -> None:
     assert set(parts) == files
     for name in files & set(TABLES):
         explained = set(re.findall(r"^- `(\w+)`: \S", parts[name], re.M))
-        plain = {"solver", "route", "policy", "settings", "way", "first", "second"}
+        plain = {"solver", "route", "policy", "settings", "call_mode", "first", "second"}
         assert set(_table(written.folder, name).columns) <= explained | plain, name

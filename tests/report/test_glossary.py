@@ -16,8 +16,8 @@ from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
 from dpbench.analysis.suites.study import studies
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.verdict import Outcome as Verdict
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import State as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
 from dpbench.bench.run.fallback_policies import FALLBACKS
@@ -162,7 +162,7 @@ def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> No
     assert topic is not None
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
-    assert {*heads, *thruster_row("", [], {}, Demand())} <= _spoken()
+    assert {*heads, *thruster_row("", [], {}, Requirements())} <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:

@@ -10,7 +10,7 @@ from itertools import takewhile
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import cost_ratio, survived
+from dpbench.analysis.verdict.requirements import cost_ratio, survived
 from dpbench.bench.record.configuration import Configuration
 
 

@@ -19,7 +19,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.pairs import paired
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 
@@ -92,7 +92,7 @@ def _gains(
                 yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
-def right_levels(records: Records, demand: Demand) -> dict[str, list[str]]:
+def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
     """The settings levels at which each solver is right on every step, the most usual first."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels_of = {
@@ -100,18 +100,20 @@ def right_levels(records: Records, demand: Demand) -> dict[str, list[str]]:
         for solver, own in grouped(runs, lambda run: run.solver).items()
     }
     return {
-        solver: [level for level, own in of.items() if all(is_right(run, demand) for run in own)]
+        solver: [
+            level for level, own in of.items() if all(is_right(run, requirements) for run in own)
+        ]
         for solver, of in levels_of.items()
     }
 
 
-def fastest_forms(records: Records, demand: Demand) -> Counter[str]:
+def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
     """How often each formulation has the least median step time, of the configurations that are
     right on a sequence in two at least."""
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
-        if times is not None and is_right(run, demand):
+        if times is not None and is_right(run, requirements):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
             by_case.setdefault(case, {})[run.formulation] = median(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
@@ -121,7 +123,7 @@ def fastest_forms(records: Records, demand: Demand) -> Counter[str]:
 def common_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Every timed replay of a solver that another has done in the same way, and both step times."""
+    """Timed replays of a solver that another has done in the same call mode; both step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

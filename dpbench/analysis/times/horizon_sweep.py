@@ -16,7 +16,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
@@ -150,12 +150,12 @@ class Sweep:
         return list(kinds.values())
 
 
-def sweeps(records: Records, demand: Demand) -> list[Sweep]:
+def sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
     """The sweeps in the records: scenarios that were replayed under two horizons at least."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = grouped(replays, _problem_key)
-    candidates = [_sweep(records, runs, demand) for key, runs in problems.items() if key]
+    candidates = [_sweep(records, runs, requirements) for key, runs in problems.items() if key]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
@@ -175,7 +175,7 @@ def _problem_key(run: RunRecord) -> str:
     return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 
-def _sweep(records: Records, runs: Sequence[RunRecord], demand: Demand) -> Sweep:
+def _sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, Point]] = {}
     for run in runs:
@@ -184,7 +184,7 @@ def _sweep(records: Records, runs: Sequence[RunRecord], demand: Demand) -> Sweep
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
             of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _point(records, run, demand))
+            of_configuration.setdefault(horizons, _point(records, run, requirements))
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
@@ -193,11 +193,11 @@ def _sweep(records: Records, runs: Sequence[RunRecord], demand: Demand) -> Sweep
     )
 
 
-def _point(records: Records, run: RunRecord, demand: Demand) -> Point:
+def _point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
     """A cell that was stopped before it had done every step once has no time to compare."""
     times = records.times(run)
     whole = times is not None and len(times.algo_ns) == run.steps_planned
-    return Point(run, times if whole else None, is_right(run, demand))
+    return Point(run, times if whole else None, is_right(run, requirements))
 
 
 def _preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:

@@ -95,9 +95,10 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
 
 def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:
     """Of each solver the configuration that takes least time beside `chosen`, where that is surely
-    less and nothing contradicts the demand, but it is open whether it meets it; the fastest first.
+    less and nothing contradicts the requirements, but the verdict is inconclusive; the fastest
+    first.
     """
-    unsettled = [v for v in verdicts.all if v.outcome == "open" and v.timed_on]
+    unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
     faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
     first: dict[str, Verdict] = {}

@@ -1,7 +1,7 @@
-"""Tables of solvers: verdicts, times, tiles of solver and place, accuracy against time, hard steps.
+"""Tables of solvers: verdicts, times, solver by experiment, accuracy against time, hard steps.
 
-A configuration and a place are told by their numbers in `PlacedRuns`, as text, where a table has
-`id` and `place_id`; −1 is a configuration that was not run.
+A configuration and an experiment are numbered as in `RunMatrix`, as text, where a table has
+`id` and `experiment_id`; −1 is a configuration that was not run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.times.machine import calling_ns
 from dpbench.analysis.times.pairs import log_reach, paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
-from dpbench.analysis.verdict.places import PlacedRuns
+from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import percentile, supports
 from dpbench.bench.record.configuration import Configuration, settings_level
@@ -33,19 +33,19 @@ LARGEST_ERROR = 1e3
 """Answers that are farther off are none, and have no point beside others."""
 
 
-def way_of(configuration: Configuration) -> dict[str, str]:
+def configuration_columns(configuration: Configuration) -> dict[str, str]:
     """What a configuration is told apart by where a solver stands in a column of its own."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
-def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Every configuration held against the demand over all its runs; times in µs."""
+def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
+    """The verdict on every configuration over all its runs; times in µs."""
     return pd.DataFrame(
         [
             {
-                **way_of(v.configuration),
-                "outcome": v.outcome,
+                **configuration_columns(v.configuration),
+                "verdict": v.state,
                 "closed_loops": v.loops,
                 "replays": v.replays,
                 "windows": v.windows,
@@ -60,16 +60,16 @@ def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,
                 "p99_on": v.p99_on,
-                **_margin_columns(placed, v),
+                **_margin_columns(matrix, v),
             }
-            for v in placed.verdicts.all
+            for v in matrix.verdicts.all
         ]
     )
 
 
-def _margin_columns(placed: PlacedRuns, verdict: Verdict) -> dict[str, Any]:
+def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
     """Return the speed margin of a configuration, and the step that bounds each of its parts."""
-    margin = placed.margin(verdict.configuration)
+    margin = matrix.margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
     columns: dict[str, Any] = {"margin": margin.factor}
@@ -92,12 +92,12 @@ margin, see `speed_margin.py`. `share`: part of the median that calling the libr
 calibration configuration that only copies; 0 where it was not run."""
 
 
-def time_table(placed: PlacedRuns) -> pd.DataFrame:
+def time_table(matrix: RunMatrix) -> pd.DataFrame:
     """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
-    called_ns = calling_ns(placed.records)
+    called_ns = calling_ns(matrix.records)
     rows = [
         {
-            "id": str(placed.index(verdict.configuration)),
+            "id": str(matrix.index(verdict.configuration)),
             "solver": verdict.configuration.solver,
             "label": verdict.configuration.label,
             "state": verdict.state,
@@ -106,63 +106,63 @@ def time_table(placed: PlacedRuns) -> pd.DataFrame:
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
-            "longest_ms": _longest_ms(placed, verdict),
-            "margin": nan if (m := placed.margin(verdict.configuration)) is None else m.factor,
+            "longest_ms": _longest_ms(matrix, verdict),
+            "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
-        for verdict in best_of_each(placed.verdicts)
+        for verdict in best_of_each(matrix.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
-def _longest_ms(placed: PlacedRuns, verdict: Verdict) -> float:
-    longest = placed.longest_timing(verdict.configuration)
+def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
+    longest = matrix.longest_timing(verdict.configuration)
     return nan if longest is None else longest[1].raw_max_ns / 1e6
 
 
-def tile_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Solver × place × settings, of each solver in the way of its best configuration, so that of
-    the one to use these are its own places."""
-    best = {v.configuration.solver: v.configuration for v in best_of_each(placed.verdicts)}
-    ways = [best.get(reference.solver, reference) for reference in placed.references]
+def tile_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Solver × experiment × settings, of each solver in the call mode of its best configuration, so
+    that of the one to use these are its own experiments."""
+    best = {v.configuration.solver: v.configuration for v in best_of_each(matrix.verdicts)}
+    modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile(placed, replace(way, settings=level), p)
-            for way in ways
-            for level in placed.levels
-            for p in placed.judged_places
+            _tile(matrix, replace(mode, settings=level), p)
+            for mode in modes
+            for level in matrix.levels
+            for p in matrix.judged_experiments
         ]
     )
 
 
-def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
-    c = placed.index(wanted)
-    run, verdict = placed.runs.get((c, p)), placed.states.get((c, p))
+def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+    c = matrix.index(wanted)
+    run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
     return {
         "solver": wanted.solver,
         "settings": wanted.settings,
-        "way": f"{wanted.route} {wanted.policy}",
-        "place": placed.places[p].label,
-        "state": placed.state(c, p),
+        "call_mode": f"{wanted.route} {wanted.policy}",
+        "experiment": matrix.experiments[p].label,
+        "state": matrix.state(c, p),
         "error": None if run is None else run.error_move_max,
         "failed": None if run is None else run.failed_steps,
         "id": str(c),
-        "place_id": str(p),
+        "experiment_id": str(p),
         "detail": ", ".join(dict.fromkeys(f.kind for f in findings)),
     }
 
 
-def level_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Error and time at each settings level of each solver, in the way of its best configuration;
-    no row for an answer beyond `LARGEST_ERROR`."""
-    best = (v.configuration for v in best_of_each(placed.verdicts))
-    ways = {c.solver: (c.route, c.policy) for c in best}
-    levels = level_points(placed.records, placed.records.sequences, ways)
-    states: dict[Configuration, str] = {v.configuration: v.state for v in placed.verdicts.all}
+def level_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Error and time at each settings level of each solver, in the call mode of its best
+    configuration; no row for an answer beyond `LARGEST_ERROR`."""
+    best = (v.configuration for v in best_of_each(matrix.verdicts))
+    modes = {c.solver: (c.route, c.policy) for c in best}
+    levels = level_points(matrix.records, matrix.records.sequences, modes)
+    states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
     rows = [
-        _point(placed, point, states)
+        _point(matrix, point, states)
         for points in levels.values()
         for point in points
         if point.error_move < LARGEST_ERROR and not isnan(point.p50_ns)
@@ -171,11 +171,11 @@ def level_table(placed: PlacedRuns) -> pd.DataFrame:
 
 
 def _point(
-    placed: PlacedRuns, point: LevelPoint, states: Mapping[Configuration, str]
+    matrix: RunMatrix, point: LevelPoint, states: Mapping[Configuration, str]
 ) -> dict[str, Any]:
     judged = point.configuration.in_common_formulation
-    return way_of(point.configuration) | {
-        "id": str(placed.index(judged)),
+    return configuration_columns(point.configuration) | {
+        "id": str(matrix.index(judged)),
         "family": family_of(judged.solver),
         "error": point.error_move,
         "p50_us": point.p50_ns / 1e3,
@@ -184,7 +184,7 @@ def _point(
     }
 
 
-def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
+def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
     """The hardest steps of every run outside studies by each measure; times in µs.
 
     Parameters
@@ -192,9 +192,9 @@ def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataF
     kept : what is kept of each run, by its id.
     """
     labels = {
-        run.run_id: placed.configurations[c].label
-        for (c, p), run in placed.runs.items()
-        if not placed.places[p].study
+        run.run_id: matrix.configurations[c].label
+        for (c, p), run in matrix.runs.items()
+        if not matrix.experiments[p].study
     }
     rows = [
         {"run_id": run_id, "configuration": labels[run_id], "by": measure}
@@ -208,20 +208,23 @@ def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataF
     return pd.DataFrame(rows)
 
 
-def ratio_table(placed: PlacedRuns) -> pd.DataFrame:
+def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
     """How many times as long each solver's best configuration takes as the fastest of them, step
     by step, with the interval of the mean."""
-    timed = fastest_first([v for v in best_of_each(placed.verdicts) if v.timed_on])
-    pairs = [paired_comparison(placed.records, timed[0], verdict) for verdict in timed[1:]]
+    timed = fastest_first([v for v in best_of_each(matrix.verdicts) if v.timed_on])
+    pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
-def pair_reaches(placed: PlacedRuns) -> tuple[list[int], list[float]]:
+def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
     """The configurations that were timed, and of any two of them, (0, 1), (0, 2), ... (1, 2), ...,
     how far the 95 % interval of their paired ratio reaches, see `log_reach`."""
     timed: dict[int, dict[int, StepTimes]] = {}
-    for (c, p), run in placed.runs.items():
-        if placed.places[p].mode == "replay" and (times := placed.records.times(run)) is not None:
+    for (c, p), run in matrix.runs.items():
+        if (
+            matrix.experiments[p].mode == "replay"
+            and (times := matrix.records.times(run)) is not None
+        ):
             timed.setdefault(c, {})[p] = times
     return list(timed), [log_reach(*two) for two in combinations(timed.values(), 2)]
 
@@ -246,17 +249,18 @@ class LevelPoint:
 
 
 def level_points(
-    records: Records, sequences: Sequence[str], ways: Mapping[str, tuple[str, str]]
+    records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Per solver its points in one way, so that a line joins settings alone, the most usual first.
+    """Per solver its points in one call mode, so that a line joins settings alone, the most usual
+    first.
 
     Parameters
     ----------
     sequences : all of which a configuration was replayed on, or it has no point.
-    ways : of each solver route and policy; one that is not in it has no points.
+    modes : of each solver route and policy; one that is not in it has no points.
     """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
-    wanted = [run for run in replays if (run.route, run.policy) == ways.get(run.solver)]
+    wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]
     configurations = grouped(wanted, lambda run: run.configuration.in_common_formulation)
     points = [
         point

@@ -100,13 +100,13 @@ class SolverChoice:
 
 
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
-    """Choose the solver with the smallest p99 among those that meet the demand.
+    """Choose the solver with the smallest p99 among those that pass.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
     """
     known = ranked_qualifying(verdicts)
-    met, near = ([v for v in known if v.outcome == name] for name in ("meets", "borderline"))
+    met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
     candidates = met or near or known
     deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
     chosen = deployable[0] if deployable else None

@@ -1,4 +1,4 @@
-"""Findings on a configuration: its outcome, causes, doubts, and times near a limit."""
+"""Findings on a configuration: its verdict, causes, doubts, and times near a limit."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Literal, get_args
 
 from dpbench.analysis.records.run_record import RunRecord
 
-Outcome = Literal["meets", "borderline", "open", "misses", "not run"]
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""The best first."""
+State = Literal["pass", "borderline", "inconclusive", "late", "fail", "not run"]
+STATES: tuple[State, ...] = get_args(State)
+"""The verdicts, the best first."""
+MISSED: tuple[State, ...] = ("late", "fail")
+"""Verdicts of configurations that something contradicts."""
 LateCause = Literal[
     "p99 late",
     "p95 late",
@@ -44,13 +46,10 @@ Near = Literal["p99 borderline", "p95 borderline", "deadline borderline", "loop 
 Gap = Literal["absent", "refused", "short"]
 LATE: tuple[Cause, ...] = get_args(LateCause)
 """Causes that say that right answers came too late, or never; all others that one was wrong."""
-State = Literal["meets", "borderline", "open", "late", "wrong", "not run"]
-STATES: tuple[State, ...] = get_args(State)
-"""The outcomes, with what misses told apart by its causes."""
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
-"""Outcomes that are the solver's own doing, and contradict any demand."""
+"""Outcomes of runs that are the solver's own doing, and contradict any requirements."""
 
 
 @dataclass(frozen=True, eq=False)

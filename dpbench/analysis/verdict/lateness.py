@@ -45,7 +45,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import holm
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import explained_by
@@ -120,7 +120,7 @@ class Machine:
 
 
 def find_late_timings(
-    records: Records, demand: Demand, uncertainty: Uncertainty
+    records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
     """Return the late timings, proven or doubtful, of every scaled replay and loop by run id."""
     runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
@@ -134,15 +134,15 @@ def find_late_timings(
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
-        "late at random": _test_replays(repeated, arms, delays, demand, "late at random"),
+        "late at random": _test_replays(repeated, arms, delays, requirements, "late at random"),
         "late timings": [
-            *_test_replays(repeated, arms, delays, demand, "late timings"),
+            *_test_replays(repeated, arms, delays, requirements, "late timings"),
             *(
-                _test_once(run, delays[run.run_id], demand.p99_ns * uncertainty.of(run))
+                _test_once(run, delays[run.run_id], requirements.p99_ns * uncertainty.of(run))
                 for run in once
             ),
         ],
-        "past the deadline": _test_deadline(loops, replays, arms, delays, demand),
+        "past the deadline": _test_deadline(loops, replays, arms, delays, requirements),
     }
     late = [test for of_kind in tests.values() for test in adjust(of_kind) if test.p <= DOUBTFUL]
     return grouped(late, lambda test: test.run.run_id)
@@ -179,12 +179,12 @@ def _test_replays(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
     kind: Kind,
 ) -> list[LateTimings]:
     """Test every replay against the machine as the other solvers on its sequence met it."""
     tests: list[LateTimings] = []
-    beside = trusted(replays, arms, delays, demand)
+    beside = trusted(replays, arms, delays, requirements)
     for _ in range(PASSES):
         machines = grouped(beside, lambda run: run.sequence)
         tests = []
@@ -192,7 +192,7 @@ def _test_replays(
             others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
             own = delays[run.run_id]
             around = _beside(own, [delays[other.run_id] for other in others])
-            tests.append(_test_replay(run, own, around, demand, kind))
+            tests.append(_test_replay(run, own, around, requirements, kind))
         late = {test.run for test in adjust(tests) if test.proven}
         beside = [run for run in (*replays, *arms) if run not in late]
     return tests
@@ -202,7 +202,7 @@ def trusted(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
 ) -> list[RunRecord]:
     """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
 
@@ -212,7 +212,7 @@ def trusted(
         return list(arms)
     stalls: dict[str, int] = {}
     for run in replays:
-        count = delays[run.run_id].count_stalls(0.5 * demand.p99_ns).sum()
+        count = delays[run.run_id].count_stalls(0.5 * requirements.p99_ns).sum()
         stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
@@ -243,19 +243,19 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
 
 
 def _test_replay(
-    run: RunRecord, own: Delays, beside: Sequence[Delays], demand: Demand, kind: Kind
+    run: RunRecord, own: Delays, beside: Sequence[Delays], requirements: Requirements, kind: Kind
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
-    counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
-    late = int(own.gross().count_late(demand.p99_ns).sum())
+    counts, samples = own.count_late(requirements.p99_ns), int(own.samples.sum())
+    late = int(own.gross().count_late(requirements.p99_ns).sum())
     if not beside:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
         return LateTimings(kind, run, late, samples, math.nan, p)
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
     multiples = (1.0,) if allowed else MULTIPLES
-    ps = [_p_of_middle_round(own, beside, m * demand.p99_ns, allowed) for m in multiples]
-    stalls = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum())
+    ps = [_p_of_middle_round(own, beside, m * requirements.p99_ns, allowed) for m in multiples]
+    stalls = machine_of(beside, requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
@@ -299,18 +299,18 @@ def _test_deadline(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
 ) -> list[LateTimings]:
     """Test timings past the deadline against such stalls in all replays of other solvers."""
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
         own = delays[run.run_id]
-        long = int(own.count_stalls(0.5 * demand.deadline_ns).sum())
+        long = int(own.count_stalls(0.5 * requirements.deadline_ns).sum())
         stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
         own = delays[run.run_id]
-        late, samples = int(own.count_late(demand.deadline_ns).sum()), int(own.samples.sum())
+        late, samples = int(own.count_late(requirements.deadline_ns).sum()), int(own.samples.sum())
         beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:
             p, expected = 1.0, 0.0

@@ -20,7 +20,7 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns
 from dpbench.bench.record.configuration import Configuration
 
@@ -67,7 +67,9 @@ class SpeedMargin:
 
 
 @lru_cache(maxsize=2)
-def speed_margins(records: Records, demand: Demand) -> Mapping[Configuration, SpeedMargin]:
+def speed_margins(
+    records: Records, requirements: Requirements
+) -> Mapping[Configuration, SpeedMargin]:
     """Return the speed margin of every configuration that was timed."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
     of_configuration = grouped(replays, lambda run: run.configuration.in_common_formulation)
@@ -83,7 +85,7 @@ def speed_margins(records: Records, demand: Demand) -> Mapping[Configuration, Sp
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
-        factors = demand.deadline_ns / step.time_ns, demand.p99_ns / p99_step.time_ns
+        factors = requirements.deadline_ns / step.time_ns, requirements.p99_ns / p99_step.time_ns
         margins[configuration] = SpeedMargin(step, p99_step, *factors)
     return margins
 

@@ -10,8 +10,8 @@ from typing import Literal
 from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
-from dpbench.analysis.verdict.findings import LATE, OUTCOMES, Outcome
+from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
@@ -19,47 +19,47 @@ Fault = Literal["too late", "wrong", "too late or wrong"]
 
 @dataclass(frozen=True)
 class Steering:
-    """Who meets the demand with thrusters, and with three forces where the suite has both.
+    """Who passes with thrusters, and with three forces where the suite has both.
 
     Parameters
     ----------
     forces : scenarios whose controller commands three forces.
-    with_forces, with_thrusters : the best outcome of any configuration of each solver; the first
+    with_forces, with_thrusters : the best verdict on any configuration of each solver; the first
         is empty where the suite has no such scenario.
-    faults : of the solvers that miss the demand with thrusters, what contradicts it.
+    faults : of the solvers that fail with thrusters, what contradicts it.
     """
 
     forces: tuple[str, ...]
-    with_forces: dict[str, Outcome]
-    with_thrusters: dict[str, Outcome]
+    with_forces: dict[str, State]
+    with_thrusters: dict[str, State]
     faults: dict[str, Fault]
 
     @property
     def fine(self) -> list[str]:
-        """Solvers that meet the demand with thrusters."""
-        return [name for name, outcome in self.with_thrusters.items() if outcome == "meets"]
+        """Solvers that pass with thrusters."""
+        return [name for name, state in self.with_thrusters.items() if state == "pass"]
 
     @property
     def undecided(self) -> list[str]:
-        """Solvers of which it is open or borderline whether they meet the demand with thrusters."""
-        unclear = ("borderline", "open")
-        return [name for name, outcome in self.with_thrusters.items() if outcome in unclear]
+        """Solvers whose verdict with thrusters is inconclusive or borderline."""
+        unclear = ("borderline", "inconclusive")
+        return [name for name, state in self.with_thrusters.items() if state in unclear]
 
     @property
     def fine_with_forces(self) -> list[str]:
-        """Those that meet it with three forces and were judged with thrusters."""
+        """Those that pass with three forces and were judged with thrusters."""
         known = self.with_thrusters
-        return [s for s, said in self.with_forces.items() if said == "meets" and s in known]
+        return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
 
     @property
     def only_with_forces(self) -> list[str]:
-        """Those of them that miss it with thrusters."""
-        return [s for s in self.fine_with_forces if self.with_thrusters[s] == "misses"]
+        """Those of them that fail, or are late, with thrusters."""
+        return [s for s in self.fine_with_forces if self.with_thrusters[s] in MISSED]
 
     @property
     def missing(self) -> list[str]:
-        """Solvers that miss the demand with thrusters."""
-        return [name for name, outcome in self.with_thrusters.items() if outcome == "misses"]
+        """Solvers that fail, or are late, with thrusters."""
+        return [name for name, state in self.with_thrusters.items() if state in MISSED]
 
 
 def is_about_thrusters(records: Records) -> bool:
@@ -68,16 +68,16 @@ def is_about_thrusters(records: Records) -> bool:
     return 2 * sum(loops.values()) > len(loops)
 
 
-def steering_of(records: Records, demand: Demand) -> Steering:
-    """Who meets the demand with what is commanded."""
+def steering_of(records: Records, requirements: Requirements) -> Steering:
+    """Who passes with what is commanded."""
     of_thrusters = [run for run in records.runs if run.steers_thrusters]
     of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
-    verdicts = verdicts_of(records, demand, of_thrusters)
+    verdicts = verdicts_of(records, requirements, of_thrusters)
     return Steering(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _outcomes(verdicts_of(records, demand, of_forces)),
-        _outcomes(verdicts),
-        {s: _fault(own) for s, own in verdicts.of.items() if _outcome(own) == "misses"},
+        _states(verdicts_of(records, requirements, of_forces)),
+        _states(verdicts),
+        {s: _fault(own) for s, own in verdicts.of.items() if _state(own) in MISSED},
     )
 
 
@@ -90,7 +90,7 @@ class ThrusterControlLoops:
     configurations: dict[str, list[RunRecord]]
 
 
-def thruster_control_loops(records: Records, demand: Demand) -> ThrusterControlLoops:
+def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
     """Select runs that command thrusters, in scenarios where a run is right throughout."""
     runs = [
         run
@@ -98,7 +98,7 @@ def thruster_control_loops(records: Records, demand: Demand) -> ThrusterControlL
         if isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
     ]
     right = sorted(
-        (run for run in runs if is_right_to_the_end(run, demand)),
+        (run for run in runs if is_right_to_the_end(run, requirements)),
         key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m),
     )
     best = firsts(right, lambda run: run.scenario)
@@ -126,19 +126,19 @@ def lost_late(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _outcomes(verdicts: Verdicts) -> dict[str, Outcome]:
-    outcomes = {solver: _outcome(own) for solver, own in verdicts.of.items()}
-    return {solver: outcome for solver, outcome in outcomes.items() if outcome != "not run"}
+def _states(verdicts: Verdicts) -> dict[str, State]:
+    states = {solver: _state(own) for solver, own in verdicts.of.items()}
+    return {solver: state for solver, state in states.items() if state != "not run"}
 
 
-def _outcome(own: Sequence[Verdict]) -> Outcome:
-    """The best outcome of some configurations."""
-    return min((verdict.outcome for verdict in own), key=OUTCOMES.index)
+def _state(own: Sequence[Verdict]) -> State:
+    """The best verdict on some configurations."""
+    return min((verdict.state for verdict in own), key=STATES.index)
 
 
 def _fault(own: Sequence[Verdict]) -> Fault:
-    """What contradicts the demand in every configuration that was run."""
-    causes = [{finding.kind for finding in v.causes} for v in own if v.outcome != "not run"]
+    """What contradicts the requirements in every configuration that was run."""
+    causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds & {*LATE} for kinds in causes):
         return "too late"
     return "wrong" if all(kinds - {*LATE} for kinds in causes) else "too late or wrong"

@@ -14,9 +14,9 @@ from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
@@ -42,14 +42,14 @@ class TimeEvidence:
 
 
 @lru_cache(maxsize=2)
-def time_evidence(records: Records, demand: Demand) -> TimeEvidence:
+def time_evidence(records: Records, requirements: Requirements) -> TimeEvidence:
     """Return the evidence on the times of a result folder."""
     uncertainty = uncertainty_of(records)
-    return TimeEvidence(find_late_timings(records, demand, uncertainty), uncertainty)
+    return TimeEvidence(find_late_timings(records, requirements, uncertainty), uncertainty)
 
 
 def find_slow_loops(
-    runs: Sequence[RunRecord], demand: Demand, uncertainty: Uncertainty
+    runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
     """Return closed loops whose median timing is near or beyond what is allowed of a p99.
 
@@ -64,7 +64,7 @@ def find_slow_loops(
     for run in runs:
         if run.mode != "closed_loop" or run.slowdown > 0.0:
             continue
-        ratio, factor = run.raw_p50_ns / demand.p99_ns, uncertainty.of(run)
+        ratio, factor = run.raw_p50_ns / requirements.p99_ns, uncertainty.of(run)
         if run.steps_done < LOOP_TIMINGS and ratio > 1.0:
             kinds["short slow loop"].append(run)
         elif ratio > factor:
@@ -95,7 +95,7 @@ _DOUBTFUL: Mapping[str, Doubt] = {
     "past the deadline": "perhaps past the deadline",
     "late at random": "late at random",
 }
-"""Findings on late timings that prove no miss of the demand."""
+"""Findings on late timings that prove no miss of the requirements."""
 
 
 def report_late_timings(
@@ -117,7 +117,7 @@ def report_late_timings(
 def judge_times(
     records: Records,
     replays: Sequence[RunRecord],
-    demand: Demand,
+    requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
     """Return what the algorithmic times of replays show, and the figures of the verdict."""
@@ -132,7 +132,7 @@ def judge_times(
         times = records.times(run)
         if times is not None:
             figures.append(_Figures.of(run, times))
-            findings += _held_against(figures[-1], times.algo_ns, demand, uncertainty.of(run))
+            findings += _held_against(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
     if not figures:
@@ -187,15 +187,15 @@ class _Figures:
 
 
 def _held_against(
-    figures: _Figures, algo_ns: Floats, demand: Demand, factor: float
+    figures: _Figures, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
     """Hold the times of one replay against the limits, within a factor of uncertainty."""
     run, findings = (figures.run,), list[Finding]()
-    if figures.max_ns > factor * demand.deadline_ns:
+    if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))
-    elif figures.max_ns >= demand.deadline_ns / factor:
+    elif figures.max_ns >= requirements.deadline_ns / factor:
         findings.append(Finding("deadline borderline", run, figures.max_ns))
-    limits = demand.p99_ns / factor, demand.p99_ns * factor
+    limits = requirements.p99_ns / factor, requirements.p99_ns * factor
     if figures.p99_ns > limits[1]:
         kind: Cause = "window late" if figures.run.window_of else "p99 late"
         findings.append(Finding(kind, run, figures.p99_ns))
@@ -205,7 +205,7 @@ def _held_against(
         return findings
     elif figures.p95_ns > limits[1]:
         findings.append(Finding("p95 late", run, figures.p95_ns))
-    elif figures.max_ns > demand.p99_ns:
+    elif figures.max_ns > requirements.p99_ns:
         findings.append(Finding("no p99", run, figures.max_ns, len(algo_ns)))
     elif figures.p95_ns >= limits[0]:
         findings.append(Finding("p95 borderline", run, figures.p95_ns))

@@ -1,13 +1,14 @@
-"""Evaluate every configuration of every solver by the suite's demand, from rows alone.
+"""Evaluate every configuration of every solver by the suite's requirements, from rows alone.
 
-A configuration *meets* the demand when it was run, whole, in every scenario and replay in which its
-solver's reference was judged, every judged step has error_move within the demand, no more steps
-fail than it allows, the p99 of its algorithmic step time stays below the demand in every replayed
+A configuration *passes* when it was run, whole, in every scenario and replay in which its solver's
+reference was judged, every judged step has error_move within the requirements, no more steps fail
+than they allow, the p99 of its algorithmic step time stays below their limit in every replayed
 sequence, and its single timings are no later than the machine explains (`lateness.py`).
 
-It *misses* the demand by a wrong, failed or late step, a process that crashed, a call that did not
-return. It is *open* where it was not run, could not be measured, or may be late. It is *borderline*
-where nothing of that holds and a time is within its uncertainty of a limit (`uncertainty.py`).
+It *fails* by a wrong or failed step or a process that crashed, and is *late* by time alone: a late
+step, or a call that did not return. It is *inconclusive* where it was not run, could not be
+measured, or may be late. It is *borderline* where nothing of that holds and a time is within its
+uncertainty of a limit (`uncertainty.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from typing import Any
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
     LATE,
@@ -28,10 +28,10 @@ from dpbench.analysis.verdict.findings import (
     OWN_DOING,
     Doubt,
     Finding,
-    Outcome,
     State,
     worst_first,
 )
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import (
     find_hidden_work,
     find_slow_loops,
@@ -50,7 +50,7 @@ class Verdict:
 
     Parameters
     ----------
-    causes : why it misses the demand; doubts : what could not be judged.
+    causes : why it fails; doubts : what could not be judged.
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
@@ -69,7 +69,7 @@ class Verdict:
     """
 
     configuration: Configuration
-    outcome: Outcome
+    state: State
     causes: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()
     near: tuple[Finding, ...] = ()
@@ -92,13 +92,6 @@ class Verdict:
     raw_max_ns: float = math.nan
 
     @property
-    def state(self) -> State:
-        """The outcome; of one that misses, whether it is late alone or an answer is wrong."""
-        if self.outcome != "misses":
-            return self.outcome
-        return "late" if all(cause.kind in LATE for cause in self.causes) else "wrong"
-
-    @property
     def p99_on(self) -> str:
         """The sequence of `p99_ns`; "" where nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
@@ -111,8 +104,8 @@ class Verdict:
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Why it is open or borderline: what could not be judged, times near a limit, where it was
-        not run, which kind of run."""
+        """Why it is inconclusive or borderline: what could not be judged, times near a limit, where
+        it was not run, which kind of run."""
         kinds: tuple[tuple[int, Doubt], ...] = (
             (self.loops, "no closed loop"),
             (self.replays + self.windows, "no replay"),
@@ -125,7 +118,7 @@ class Verdict:
 class Verdicts:
     """The verdicts on a result folder: of each solver, its reference first."""
 
-    demand: Demand
+    requirements: Requirements
     of: Mapping[str, Sequence[Verdict]]
 
     @property
@@ -140,7 +133,7 @@ class Verdicts:
 
 
 def verdicts_of(
-    records: Records, demand: Demand, among: Sequence[RunRecord] | None = None
+    records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
     """The verdicts on all configurations of all solvers, in the order of the suite.
 
@@ -157,10 +150,10 @@ def verdicts_of(
         ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
-            verdict_of(records, configuration, runs, asked, demand)
+            verdict_of(records, configuration, runs, asked, requirements)
             for configuration, runs in ordered
         ]
-    return Verdicts(demand, verdicts)
+    return Verdicts(requirements, verdicts)
 
 
 def _longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
@@ -188,7 +181,7 @@ def verdict_of(
     configuration: Configuration,
     runs: Sequence[RunRecord],
     asked: Sequence[RunRecord],
-    demand: Demand,
+    requirements: Requirements,
 ) -> Verdict:
     """Return the verdict on one configuration.
 
@@ -200,16 +193,16 @@ def verdict_of(
     if not ran:
         return Verdict(configuration, "not run", refusal=detail(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    evidence = time_evidence(records, demand)
-    times, figures = judge_times(records, replays, demand, evidence.uncertainty)
-    times += find_slow_loops(ran, demand, evidence.uncertainty)
+    evidence = time_evidence(records, requirements)
+    times, figures = judge_times(records, replays, requirements, evidence.uncertainty)
+    times += find_slow_loops(ran, requirements, evidence.uncertainty)
     times += report_late_timings(ran, evidence.late) + find_hidden_work(ran)
     late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
+    causes = [*_wrong(ran, requirements), *_failing(ran, requirements), *_own_doing(ran), *late]
     doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)
     return Verdict(
         configuration,
-        _outcome(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
         tuple(near),
@@ -228,15 +221,15 @@ def _of_kinds(findings: Sequence[Finding], kinds: Sequence[str]) -> list[Finding
     return [finding for finding in findings if finding.kind in kinds]
 
 
-def _outcome(
+def _state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
-) -> Outcome:
-    """Return the outcome of findings, and of how many modes, loop and replay, were run."""
+) -> State:
+    """Return the state of findings, and of how many modes, loop and replay, were run."""
     if causes:
-        return "misses"
+        return "late" if all(cause.kind in LATE for cause in causes) else "fail"
     if doubts or modes < 2:
-        return "open"
-    return "borderline" if near else "meets"
+        return "inconclusive"
+    return "borderline" if near else "pass"
 
 
 def detail(run: RunRecord) -> str:
@@ -271,17 +264,17 @@ def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _wrong(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
+def _wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
     """Answers too far from the optimum, and steps without one."""
-    off = [run for run in runs if run.error_move_max > demand.error_move]
+    off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
     return [*no_answer, *worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
 
 
-def _failing(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
-    failing = [run for run in runs if run.failed_steps > demand.failed_steps]
+def _failing(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     return worst_first("failed", failing, lambda run: run.failed_steps)
 
 

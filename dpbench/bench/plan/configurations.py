@@ -1,5 +1,5 @@
-"""The configurations of a suite: which solvers it means, and every way to run one that it asks
-for."""
+"""The configurations of a suite: which solvers it means, and every configuration of one that it
+asks for."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
 
     A table may name solvers of its own: those of them that the suite has, too, take part.
 
-    The harness's own configurations have one way to run, whatever the table asks for, and take part
+    The harness's own configurations have one call mode, whatever the table asks for, and take part
     in timed replays alone.
     """
     solvers = _taking_part(solvers, table)

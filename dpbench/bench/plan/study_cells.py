@@ -67,8 +67,8 @@ def _blanks(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
     """The cells of the base scenario, one for each configuration."""
-    ways = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
-    loops = ClosedLoopTable(scenarios=[table.base], **ways)
+    calls = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
+    loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [
         cell_of(
             configuration,

@@ -32,7 +32,7 @@ RouteName = Literal["default", "qpsolvers", "native"]
 
 
 class RunsTable(FileModel):
-    """In which ways solvers run; settings that a solver does not have are left out."""
+    """Call modes and settings of the solvers; settings a solver does not have are left out."""
 
     settings: list[str] = ["default"]
     """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""

@@ -1,4 +1,4 @@
-"""Suites: which cells a campaign runs, and the demand its report judges them by."""
+"""Suites: which cells a campaign runs, and the requirements its report judges them by."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ Fallback = Annotated[
 Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
 
 
-class DemandTable(FileModel):
-    """What a controller demands of a solver."""
+class RequirementsTable(FileModel):
+    """What a controller requires of a solver."""
 
     error_move: Positive = 1e-2
     """Largest error of the first move on any step, in rate-limit steps."""
@@ -236,6 +236,7 @@ class SuiteFile(FileModel):
     """
 
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
+    refused_keys: ClassVar[dict[str, str]] = {"demand": "requirements"}
 
     title: str
     """The suite in words."""
@@ -257,8 +258,8 @@ class SuiteFile(FileModel):
     """Rounds of a replay that count."""
     warmup_steps: Count = 50
     """Steps of the round before them, which does not count."""
-    demand: DemandTable = DemandTable()
-    """What is demanded of a solver."""
+    requirements: RequirementsTable = RequirementsTable()
+    """What is required of a solver."""
     report: ReportTable = ReportTable()
     """What the report shows first."""
     design: DesignTable | None = None
@@ -324,7 +325,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     return path, parse_model(document, SuiteFile, str(path))
 
 
-_WAY: dict[str, Collection[str]] = {
+_CALL: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(Policy),
     "settings": LEVELS,
@@ -335,18 +336,18 @@ _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
     """The suite that replays one recorded sequence through every solver, default and high.
 
-    What a search found, as `meta` of the sequence says, is replayed in the way its solver was run
-    as well: another route or policy shows other iterations, or none.
+    What a search found, as `meta` of the sequence says, is replayed in the call mode and settings
+    its solver was run in as well: another route or policy shows other iterations, or none.
     """
-    ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
+    calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    worst_case = {key: meta.get(f"worst_case_{key}") for key in _WAY}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _CALL}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
-    if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
-        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
+    if all(name in known for name, known in zip(worst_case.values(), _CALL.values(), strict=True)):
+        calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
         report = _searched_step(meta)
-    tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
+    tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
     return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
 
@@ -356,6 +357,6 @@ def _searched_step(meta: Mapping[str, object]) -> ReportTable:
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    way = [str(meta.get(f"worst_case_{key}")) for key in _WAY]
-    settings = "" if way[2] == "default" else f", {way[2]}"
-    return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")
+    call = [str(meta.get(f"worst_case_{key}")) for key in _CALL]
+    settings = "" if call[2] == "default" else f", {call[2]}"
+    return ReportTable(step=step, configuration=f"{solver} ({call[0]} {call[1]}{settings})")

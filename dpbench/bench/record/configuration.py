@@ -1,4 +1,4 @@
-"""A configuration: one way of running one solver, from the plan to the page."""
+"""A configuration: one solver, its call mode and its settings, from the plan to the page."""
 
 from __future__ import annotations
 

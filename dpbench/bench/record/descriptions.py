@@ -46,7 +46,7 @@ class MachineDescription(ComparedMachine, total=False):
     others: list[MachineDescription]
 
 
-class _Demand(TypedDict, total=False):
+class _Requirements(TypedDict, total=False):
     error_move: float
     failed_steps: int
     p99_ms: float
@@ -88,7 +88,8 @@ class SuiteDescription(TypedDict, total=False):
     lost_designs: int
     remarks: list[str]
     revisions: list[RevisionDescription]
-    demand: _Demand
+    requirements: _Requirements
+    demand: _Requirements  # what earlier releases call the requirements
     report: _Report
     study: list[StudyDescription]
 

@@ -13,33 +13,33 @@ COLUMNS = (
     *("id", "solver", "family", "settings", "route", "policy"),
     *("error", "p50_us", "p99_us", "state"),
 )
-FULL = {"meets": 0.95, "borderline": 0.6, "open": 0.3, "late": 0.0, "wrong": 0.0}
+FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
 """How full a point is, by what is said of its configuration."""
-_LEGEND = {"meets": style.INK, "open": style.LINE, "misses": style.PAPER}
+_LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.PAPER}
 _COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Of each legend: three of them stand side by side on a phone."""
 _FIGURES = (
-    style.tip("state:N", "demand"),
+    style.tip("state:N", "verdict"),
     style.tip("error:Q", digits=2),
     style.tip("p50_us:Q", "p50 [µs]"),
     style.tip("p99_us:Q", "p99 [µs]"),
 )
 
 
-def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
-    """Points of time and largest error, filled where the demand is met, pale where that is open and
-    hollow where it is missed, if only elsewhere; lines join the settings of a solver. Clicking sets
-    `pick`.
+def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
+    """Points of time and largest error, filled where the solver passes, pale where it is
+    inconclusive and hollow where it fails or is late, if only elsewhere; lines join the settings of a solver.
+    Clicking sets `pick`.
 
     The parameter `percentile` chooses p50 or p99.
 
     Parameters
     ----------
-    table : columns `COLUMNS`, errors finite; demand_error : drawn as a line.
+    table : columns `COLUMNS`, errors finite; error_limit : drawn as a line.
     """
     table = table.assign(
         shown=table["error"].clip(lower=style.FLOOR),
-        full=[FULL.get(state, FULL["open"]) for state in table["state"]],
+        full=[FULL.get(state, FULL["inconclusive"]) for state in table["state"]],
     )
     percentile = alt.param(name="percentile", value="p50")
     pick = style.picking("id")
@@ -79,7 +79,7 @@ def accuracy(table: pd.DataFrame, demand_error: float) -> Any:
     )
     return style.styled(
         alt.layer(
-            lines, style.limit_rule(demand_error), dots, named, _fullness(), width=620, height=360
+            lines, style.limit_rule(error_limit), dots, named, _fullness(), width=620, height=360
         ),
         "Accuracy against time",
         "Largest error of the first move against step time, a point for each settings level.",
@@ -94,4 +94,4 @@ def _fullness() -> Any:
     unseen = style.inline(*({"look": look} for look in _LEGEND)).mark_point(
         filled=True, size=0, opacity=0, aria=False
     )
-    return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="demand", legend=legend))
+    return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="verdict", legend=legend))

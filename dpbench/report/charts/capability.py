@@ -158,9 +158,9 @@ RIGHT_HELD, RIGHT_NOT = "held, right", "not held, right"
 NOTHING, WRONG = "no answer", "untrue claim"
 _LOOKS = {
     RIGHT_HELD: style.PALETTE[0],
-    RIGHT_NOT: style.MEETS,
+    RIGHT_NOT: style.PASS,
     NOTHING: style.LINE,
-    WRONG: style.MISSES,
+    WRONG: style.FAIL,
 }
 
 

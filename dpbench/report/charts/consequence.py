@@ -10,7 +10,7 @@ import pandas as pd
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN
 from dpbench.report.charts import style
 
-_STATES = {HELD: style.MEETS, LOST: style.MISSES, UNKNOWN: style.OPEN}
+_STATES = {HELD: style.PASS, LOST: style.FAIL, UNKNOWN: style.INCONCLUSIVE}
 _NAMED = 0.45
 """A span of at least this share of the whole says its state in words."""
 
@@ -61,7 +61,7 @@ def shares(table: pd.DataFrame, title: str) -> Any:
     """
     table = table.assign(answers=table["right"].map({True: _RIGHT, False: _NOT_RIGHT}))
     kinds = [kind for kind in (_RIGHT, _NOT_RIGHT) if kind in set(table["answers"])]
-    looks = {_RIGHT: (style.MEETS, "circle"), _NOT_RIGHT: (style.MISSES, "cross")}
+    looks = {_RIGHT: (style.PASS, "circle"), _NOT_RIGHT: (style.FAIL, "cross")}
     colours, shapes = ([looks[kind][i] for kind in kinds] for i in (0, 1))
     axis = alt.Axis(format="~g", tickCount=3, grid=False)
     across = "largest share of a sample [%]"

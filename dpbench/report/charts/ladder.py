@@ -22,7 +22,9 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 
 def _state() -> str:
     """The state on the slower computer, as an expression: beyond the speed margin it is late."""
-    good = " || ".join(f"datum.state == '{state}'" for state in ("meets", "borderline", "open"))
+    good = " || ".join(
+        f"datum.state == '{state}'" for state in ("pass", "borderline", "inconclusive")
+    )
     return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.state"
 
 
@@ -37,7 +39,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     Parameters
     ----------
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
-    p99_ms : what the demand allows.
+    p99_ms : what the requirements allow.
     """
     base = _scaled(table)
     x = _axis(table, deadline_ms)
@@ -65,7 +67,7 @@ def _scaled(table: pd.DataFrame) -> alt.Chart:
     tips = [
         style.tip("label:N", "configuration"),
         style.tip("computer:N", "computer slower"),
-        style.tip("now:N", "demand there"),
+        style.tip("now:N", "verdict there"),
         *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
         style.tip("replay_p99_ms:Q", "p99, whole replay, as measured [ms]", 3),
         style.tip("raw_p99_ms:Q", "p99 of single timings there [ms]", 3),
@@ -106,7 +108,7 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     """What calling costs, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
-    colour = style.coloured("now", STATES, style.STATE_COLOURS, title="demand", **looks)
+    colour = style.coloured("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
     yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )
@@ -122,8 +124,8 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """The deadline and, thinner, what the demand allows of a p99, with their names; below them what
-    is said of the whiskers."""
+    """The deadline and, thinner, what the requirements allow of a p99, with their names; below them
+    what is said of the whiskers."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

@@ -87,7 +87,7 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         color=style.either(some, style.FILLS[3], style.FILLS[0])
     )
     numbers = base.mark_text(fontSize=12).encode(
-        text="count:Q", color=style.either(some, style.MISSES, style.MEETS)
+        text="count:Q", color=style.either(some, style.FAIL, style.PASS)
     )
     chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
     return style.styled(chart, title, title)

@@ -1,4 +1,4 @@
-"""Solver × place × settings: where the demand is met, borderline, open, missed or not run."""
+"""Solver × experiment × settings: the verdict on each run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 COLUMNS = (
-    *("solver", "place", "settings", "way", "state"),
-    *("error", "failed", "id", "place_id", "detail"),
+    *("solver", "experiment", "settings", "call_mode", "state"),
+    *("error", "failed", "id", "experiment_id", "detail"),
 )
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 """Of the states."""
 MOST_ACROSS = 30
-"""Places side by side of a settings level, and twice as many of all levels; more would leave no
-room for a name."""
+"""Experiments side by side of a settings level, and twice as many of all levels; more would leave
+no room for a name."""
 _HEADER = alt.Header(
     labelFontSize=13,
     labelFontWeight=600,
@@ -32,36 +32,36 @@ _HEADER = alt.Header(
 
 
 def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
-    """A tile for every solver and place, side by side for each settings level, or one below the
-    other for a narrow screen.
+    """A tile for every solver and experiment, side by side for each settings level, or one below
+    the other for a narrow screen.
 
     Colour and sign say the same; the tooltip has the largest error and the failed steps. Clicking
     sets `pick`.
 
-    More places than `MOST_ACROSS` stand below each other, solvers side by side; the figure is then
-    marked as `tall` for who has to find a tile in it.
+    More experiments than `MOST_ACROSS` stand below each other, solvers side by side; the figure is
+    then marked as `tall` for who has to find a tile in it.
 
     Parameters
     ----------
-    table : columns `COLUMNS`, solvers and places in the order they are to stand in.
+    table : columns `COLUMNS`, solvers and experiments in the order they are to stand in.
     """
-    solvers, places = table["solver"].unique().tolist(), table["place"].unique().tolist()
+    solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
     levels = table["settings"].unique().tolist()
     # Worked out in the figure, so that the page can hand it other rows.
     signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
     inks = json.dumps(dict(zip(STATES, style.STATE_COLOURS, strict=True)))
-    pick = style.picking("id", "place_id")
-    in_a_row = len(places) * (1 if stacked else len(levels))
-    tall = len(places) > MOST_ACROSS or in_a_row > 2 * MOST_ACROSS
-    across, down = ("solver", "place") if tall else ("place", "solver")
-    order = {"solver": solvers, "place": places}
+    pick = style.picking("id", "experiment_id")
+    in_a_row = len(experiments) * (1 if stacked else len(levels))
+    tall = len(experiments) > MOST_ACROSS or in_a_row > 2 * MOST_ACROSS
+    across, down = ("solver", "experiment") if tall else ("experiment", "solver")
+    order = {"solver": solvers, "experiment": experiments}
     above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
     x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
-    titles = {"place": "in", "state": "demand"}
+    titles = {"experiment": "in", "state": "verdict"}
     titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
     titled = (style.tip(f"{field}:N", title) for field, title in titles.items())
-    tips = ["solver:N", "way:N", "settings:N", *titled]
+    tips = ["solver:N", style.tip("call_mode:N", "call mode"), "settings:N", *titled]
     base = (
         alt.Chart()
         .transform_calculate(
@@ -78,7 +78,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     }
     legend |= {"columns": 3} if stacked else {}
     tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
-        color=style.coloured("state", STATES, style.FILLS, title="demand", **legend)
+        color=style.coloured("state", STATES, style.FILLS, title="verdict", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
     frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
@@ -95,6 +95,6 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     else:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
     chart.usermeta = {"tall": tall}
-    states = "meets, borderline, open, late, wrong or not run"
+    states = "pass, borderline, inconclusive, late, fail or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
     return style.styled(chart, "Where each solver holds", about)

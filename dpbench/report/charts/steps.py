@@ -16,7 +16,7 @@ NO_ANSWER = 1e9
 _WIDTH = 620
 
 
-def strips(table: pd.DataFrame, forces: pd.DataFrame | None, demand_error: float) -> Any:
+def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
     """Four strips on one axis, three of a replay, which has no forces; a vertical line stands at
     the parameter `at`.
 
@@ -24,7 +24,7 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, demand_error: float
     ----------
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
-    demand_error : what the error of the first move may be.
+    error_limit : what the error of the first move may be.
     """
     at = alt.param(name="at", value=-1)
     steps = _steps("steps", table)
@@ -34,7 +34,7 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, demand_error: float
     rule = rule.transform_filter("datum.at >= 0").encode(x="at:Q").add_params(at)
     panels = [
         (110, _time(steps.encode(x=_x()))),
-        (90, _error(steps.encode(x=_x()), demand_error)),
+        (90, _error(steps.encode(x=_x()), error_limit)),
         (80, _iterations(steps.encode(x=_x(last=forces is None)))),
     ]
     if forces is not None:
@@ -72,7 +72,7 @@ def _time(steps: alt.Chart) -> list[Any]:
     return [span, base.mark_circle(size=9, opacity=0.9, color=style.ACCENT)]
 
 
-def _error(steps: alt.Chart, demand_error: float) -> list[Any]:
+def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -80,10 +80,10 @@ def _error(steps: alt.Chart, demand_error: float) -> list[Any]:
     dots = dots.encode(
         tooltip=["k:Q", style.tip("error:Q", "error of the first move", 2)],
         y=alt.Y("shown:Q", title="error_move", scale=scale, axis=axis),
-        color=style.either("datum.failed", style.MISSES, style.SOFT),
+        color=style.either("datum.failed", style.FAIL, style.SOFT),
         size=style.either("datum.failed", 40, 9),
     )
-    return [dots, style.limit_rule(demand_error)]
+    return [dots, style.limit_rule(error_limit)]
 
 
 def _iterations(steps: alt.Chart) -> list[Any]:

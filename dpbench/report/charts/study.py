@@ -12,7 +12,7 @@ from dpbench.report.charts import style
 
 HELD = ("all held", "some held", "none held")
 """What is said of the seas at a point."""
-_LOOKS = [STATES.index(state) for state in ("meets", "open", "wrong")]
+_LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """The states whose looks these have."""
 _SIDE = 110
 _HELD = "share of seas held"
@@ -36,7 +36,7 @@ def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -
     shade = alt.Color(
         "held:Q",
         title=_HELD,
-        scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.MISSES, style.FILLS[1], style.MEETS]),
+        scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
         legend=style.below(format=".0%", gradientLength=160),
     )
     held = alt.Tooltip("held:Q", format=".0%")
@@ -155,7 +155,7 @@ def behind_there(small_cm: float) -> Any:
     seas = seas.encode(
         x=alt.X("behind_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
-        color=style.either(_CHOSEN, style.MISSES, style.SOFT),
+        color=style.either(_CHOSEN, style.FAIL, style.SOFT),
         size=style.either(_CHOSEN, 90, 28),
         opacity=style.either(_CHOSEN, 1.0, 0.6),
         tooltip=[
@@ -180,7 +180,7 @@ def seas_there() -> Any:
     """
     radius = (
         style.inline(name="radius")
-        .mark_rule(color=style.MISSES, strokeDash=[4, 3])
+        .mark_rule(color=style.FAIL, strokeDash=[4, 3])
         .encode(y="limit:Q")
     )
     who = ("chosen", "reference")

@@ -10,10 +10,10 @@ import altair as alt
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 INK, SOFT, LINE, GRID, ACCENT = "#1d2733", "#5b6876", "#c9d1d9", "#e7ebef", "#0b6e99"
 PAPER = "#ffffff"
-MEETS, MISSES, OPEN, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
+PASS, FAIL, INCONCLUSIVE, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
 LATE, BORDERLINE = "#6b4fa3", "#4d7c0f"
-STATE_COLOURS = (MEETS, BORDERLINE, OPEN, LATE, MISSES, NOT_RUN)
-"""In the order of `analysis.verdict.verdict.STATES`."""
+STATE_COLOURS = (PASS, BORDERLINE, INCONCLUSIVE, LATE, FAIL, NOT_RUN)
+"""In the order of `analysis.verdict.findings.STATES`."""
 FILLS = ("#d7efe6", "#e9f2cf", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
 """Tiles of the states."""
 STATE_SHAPES = ("circle", "triangle-up", "diamond", "triangle-right", "cross", "square")
@@ -128,8 +128,8 @@ def inline(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
 
 
 def limit_rule(limit: float, across: str = "y") -> Any:
-    """A dashed line at what the demand allows, on the axis `across` which it stands."""
-    rule = inline({"limit": limit}).mark_rule(color=MISSES, strokeDash=[4, 3])
+    """A dashed line at what the requirements allow, on the axis `across` which it stands."""
+    rule = inline({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 

@@ -180,7 +180,7 @@ def _worse(comparison: Comparison) -> str:
 
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
 _COLOUR = style.coloured(
-    "verdict", VERDICTS, (style.MISSES, style.MEETS, style.SOFT, style.NOT_RUN), columns=2
+    "verdict", VERDICTS, (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN), columns=2
 )
 _SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
 _SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)

@@ -22,7 +22,7 @@ from dpbench.analysis.compare.releases import (
 )
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
@@ -51,14 +51,14 @@ class Releases:
     Parameters
     ----------
     lines : what was compared, and what changed, in a few lines; tables : one a solver of several
-        versions, and one of all the others; demand : of the first folder.
+        versions, and one of all the others; requirements : of the first folder.
     """
 
     histories: Histories
     lead: Sequence[str]
     lines: Sequence[str]
     tables: Sequence[Table]
-    demand: Demand
+    requirements: Requirements
 
     def markdown(self) -> str:
         """The releases as a Markdown document."""
@@ -89,8 +89,10 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
         for name, folder in zip(names, folders, strict=True)
     }
     over = histories(records, reference)
-    demand = Demand.of(next(iter(records.values())).suite)
-    return Releases(over, _lead(over), _comparability_notes(over, records), _tables(over), demand)
+    requirements = Requirements.of(next(iter(records.values())).suite)
+    return Releases(
+        over, _lead(over), _comparability_notes(over, records), _tables(over), requirements
+    )
 
 
 def _changed(histories: Histories) -> dict[str, list[History]]:
@@ -240,8 +242,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
     charts = {
         "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
         "the most usual configuration of each solver.": release_times(table, unit),
-        "The same runs; dashed: what the demand allows. An error of exactly 0 has no point.": (
-            release_errors(table, releases.demand.error_move)
+        "The same runs; dashed: what the requirements allow. An error of exactly 0 has no point.": (
+            release_errors(table, releases.requirements.error_move)
         ),
     }
     figures = [(caption, drawn(chart)) for caption, chart in charts.items() if len(table)]
@@ -274,7 +276,7 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
 
 
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """A row per version: the largest error of the first move, against what the demand allows.
+    """A row per version: the largest error of the first move, against what the requirements allow.
 
     Parameters
     ----------
@@ -284,7 +286,7 @@ def release_errors(table: pd.DataFrame, allowed: float) -> Any:
     x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_axis(".0e"))
     drawn = _base(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
-    rule = limit.mark_rule(strokeDash=[4, 3], color=style.MISSES).encode(x="limit:Q")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
     layers = (rule, _point(drawn, x))
     return _panels(layers, "Error", "Largest error of each solver, version by version.")
 

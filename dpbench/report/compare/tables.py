@@ -49,7 +49,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
             }
         )
     note = (
-        "Over all ways to run it: slower, faster, worse or better where a configuration is "
+        "Over all its configurations: slower, faster, worse or better where a configuration is "
         "and none is the contrary; equivalent where every configuration is; same where every "
         "figure that is comparable is. Claims on step times hold together over all solvers."
     )

@@ -17,13 +17,13 @@ from dpbench.report.formats import and_list, count_text, error_text, time_text
 from dpbench.report.page.data import PageData
 from dpbench.report.report import Report
 from dpbench.report.table import markdown
-from dpbench.report.verdict_text import answer_text, clauses, demand_text, paired_text
+from dpbench.report.verdict_text import answer_text, clauses, paired_text, requirements_text
 
 USUAL = ("osqp", "daqp")
 """Whom a solver is set beside, where nobody is named."""
 MOST_BYTES = 3000
 """A comment that is read without scrolling."""
-MOST_WAYS = 3
+MOST_CONFIGURATIONS = 3
 """So many configurations of the solver itself have a row."""
 
 
@@ -46,27 +46,28 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = worst_steps(data.records, solver)
-    own_ways = fastest_first([v for v in data.verdicts.of[solver] if v.outcome != "not run"])
+    own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
     names = and_list([v.configuration.solver for v in chosen]) or "nobody"
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
         markdown_line(_sentence(data, best[solver])),
-        solver_table(data, [*own_ways[:MOST_WAYS], *chosen]),
+        solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
         "\n".join(f"- {markdown_text(_paired(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export)}" for step in worst),
-        markdown_line(f"{demand_text(data.demand)} {_made_by(report)} {machine}"),
+        markdown_line(f"{requirements_text(data.requirements)} {_made_by(report)} {machine}"),
     ]
     return cut("\n\n".join(part for part in parts if part) + "\n", MOST_BYTES, "report.md"), worst
 
 
 def _sentence(data: PageData, verdict: Verdict) -> str:
     label = verdict.configuration.label
-    held = f"`{label}` meets the demand everywhere it was run."
+    passed = f"`{label}` passes everywhere it was run."
     if verdict.causes:
-        return f"`{label}` misses the demand: {clauses(verdict.causes)}."
+        verb = "is late" if verdict.state == "late" else "fails"
+        return f"`{label}` {verb}: {clauses(verdict.causes)}."
     said = clauses(verdict.missing)
-    return held if verdict.outcome == "meets" else f"`{label}` contradicts nothing; open: {said}."
+    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {said}."
 
 
 def _paired(data: PageData, own: Verdict, other: Verdict) -> str:
@@ -81,7 +82,7 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]
-    heads = ("worst by", "step", "way", "figure", "its median", "answer", *names)
+    heads = ("worst by", "step", "call mode", "figure", "its median", "answer", *names)
     rows = [
         (
             step.measure,

@@ -17,7 +17,16 @@ from dpbench.report.table import markdown
 MOST_BYTES = 8000
 """A comment on a pull request is read when it is one screen or two."""
 HEAD = (
-    *("solver", "way", "demand", "p50", "p99", "p99 of timings", "worst p99", "hardest step"),
+    *(
+        "solver",
+        "call mode",
+        "verdict",
+        "p50",
+        "p99",
+        "p99 of timings",
+        "worst p99",
+        "hardest step",
+    ),
     *("speed margin", "largest error", "failed"),
 )
 
@@ -33,9 +42,9 @@ def report_markdown(
         if data.verdicts.of or not lead
         else []
     )
-    held = ", ".join(chip.text for chip in recommendation.chips)
-    after = [f"Valid for: {held}."] if held else []
-    after += [recommendation.demand, recommendation.machine]
+    valid = ", ".join(chip.text for chip in recommendation.chips)
+    after = [f"Valid for: {valid}."] if valid else []
+    after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
         f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",

@@ -25,7 +25,7 @@ from dpbench.files.writing import write_given
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import slower_text
-from dpbench.report.verdict_text import demand_text, deployment_facts, judged_on
+from dpbench.report.verdict_text import deployment_facts, judged_on, requirements_text
 from dpbench.report.words import document
 from dpbench.solvers.settings import level_options
 
@@ -53,8 +53,8 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     InputError : when nothing can be recommended, so that there is nothing to state.
     """
     chosen = choose_solver(data.verdicts).chosen
-    if chosen is None or chosen.outcome != "meets":
-        found = "no configuration that meets the demand everywhere and can go aboard"
+    if chosen is None or chosen.state != "pass":
+        found = "no configuration that passes everywhere and can go aboard"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
     return _page_svg(_lines(folder, results, data, chosen))
 
@@ -105,13 +105,13 @@ def _text(folder: Path, results: Results, data: PageData, chosen: Verdict) -> st
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
         aboard=deployment_facts(c.solver),
-        demand=demand_text(data.demand),
+        requirements=requirements_text(data.requirements),
         slower=slower_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
-        places=[
-            data.places[p].label
-            for p in data.judged_places
-            if data.state(data.index(c), p) == "meets"
+        experiments=[
+            data.experiments[p].label
+            for p in data.judged_experiments
+            if data.state(data.index(c), p) == "pass"
         ],
         machine=defaultdict(str, results.machine),
         hashes=hashes(folder, HASHED),

@@ -1,6 +1,6 @@
 """What the page knows of a result folder: what was run where, and the packed steps of each run.
 
-The page refers to a configuration and a place by their numbers.
+The page refers to a configuration and an experiment by their numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.suites.study import Study, studies
-from dpbench.analysis.verdict.places import Place, PlacedRuns, placed_configuration
+from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.report.formats import as_float
 from dpbench.report.page.pack import Block
@@ -27,7 +27,7 @@ from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_docume
 
 
 @dataclass(eq=False)
-class PageData(PlacedRuns):
+class PageData(RunMatrix):
     """What was run where, and the block that the page's arrays are in."""
 
     block: Block = field(default_factory=Block)
@@ -35,7 +35,7 @@ class PageData(PlacedRuns):
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
         """The data of some records; of studies those that the page has room for."""
-        return cls.placed(records, verdicts, shown(records.study), MOST_LOOPS)
+        return cls.from_records(records, verdicts, shown(records.study), MOST_LOOPS)
 
     @cached_property
     def studies(self) -> list[Study]:
@@ -46,19 +46,19 @@ class PageData(PlacedRuns):
     def study_documents(self) -> list[dict[str, Any]]:
         """What the script of the page knows of each."""
         runs = {run.run_id: run for run in shown(self.records.study)}
-        numbers = {run.name: self.index(placed_configuration(run)) for run in runs.values()}
+        numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Configuration and place that a page opens with on which nothing is judged but a study;
-        None of another."""
-        if self.judged_places or not self.studies:
+        """Configuration and experiment that a page opens with on which nothing is judged but a
+        study; None of another."""
+        if self.judged_experiments or not self.studies:
             return None
         run = opening(self.studies[0], shown(self.records.study))
         if run is None:
             return None
-        return self.index(placed_configuration(run)), self.places.index(Place.of(run))
+        return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
 
     @cached_property
     def kept(self) -> dict[str, KeptRun]:

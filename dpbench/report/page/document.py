@@ -1,4 +1,4 @@
-"""What the scripts of the page draw: configurations, places, runs, and what the page opens with."""
+"""Data of the page's scripts: configurations, experiments, runs, and the first selection."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.solver_tables import way_of
+from dpbench.analysis.times.solver_tables import configuration_columns
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, known_record
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
@@ -27,7 +27,7 @@ def page_document(
 
     Parameters
     ----------
-    words : on each place, by its number.
+    words : on each experiment, by its number.
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}
@@ -35,14 +35,14 @@ def page_document(
     document: dict[str, Any] = {
         "solvers": {c.solver: _solver(c.solver) for c in data.configurations},
         "configurations": columns_of(rows),
-        "places": _places(data, words),
+        "experiments": _experiments(data, words),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
-        "demand": {
-            "error_move": data.demand.error_move,
-            "deadline_ms": data.demand.deadline_ms,
-            "p99_ms": data.demand.p99_ms,
+        "requirements": {
+            "error_move": data.requirements.error_move,
+            "deadline_ms": data.requirements.deadline_ms,
+            "p99_ms": data.requirements.p99_ms,
         },
         "answer": _opening(data, results, recommendation),
     }
@@ -57,8 +57,8 @@ def _configuration(
     """What the page says of a configuration; of one that is not judged only what it is."""
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
-        **way_of(c),
-        "outcome": "not judged" if v is None else v.state,
+        **configuration_columns(c),
+        "verdict": "not judged" if v is None else v.state,
         "why": "" if v is None else recommendation.why(v),
         **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else number(v.replay_p99_ns),
@@ -74,16 +74,16 @@ def _configuration(
 
 
 def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the steps of windows that bound it: the place
-    of their loop, the sample and the time [ns]."""
+    """Return the speed margin of a configuration, and the steps of windows that bound it: the
+    experiment of their loop, the sample and the time [ns]."""
     margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
     loops = {
-        place.name: p
-        for p, place in enumerate(data.places)
-        if (place.mode, place.units, place.study) == ("closed_loop", "scaled", "")
-        and not place.slowdown
+        experiment.name: p
+        for p, experiment in enumerate(data.experiments)
+        if (experiment.mode, experiment.units, experiment.study) == ("closed_loop", "scaled", "")
+        and not experiment.slowdown
     }
     bounds = [
         [loops[step.run.scenario], step.k, number(step.time_ns)]
@@ -94,11 +94,11 @@ def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
 
 
 def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
-    """The largest single timing of a configuration in all its places [ns], and the place."""
-    place, run = data.longest_timing(c) or (None, None)
-    if place is None or run is None:
+    """The largest single timing of a configuration [ns], and its experiment."""
+    experiment, run = data.longest_timing(c) or (None, None)
+    if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
-    return {"longest": number(run.raw_max_ns), "longest_at": data.places.index(place)}
+    return {"longest": number(run.raw_max_ns), "longest_at": data.experiments.index(experiment)}
 
 
 def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def _opening(data: PageData, results: Results, recommendation: Recommendation) -
     first, second = (
         max(0, data.index(c)) if c else None for c in (recommendation.first, recommendation.second)
     )
-    of_study, place = data.opening or (None, None)
+    of_study, experiment = data.opening or (None, None)
     return {
         "first": named[0] if named else first or of_study or 0,
         "second": second,
@@ -118,28 +118,32 @@ def _opening(data: PageData, results: Results, recommendation: Recommendation) -
             for v in best_of_each(data.verdicts)
             if data.index(v.configuration) >= 0
         },
-        "place": place,
+        "experiment": experiment,
         "k": report.get("step"),
     }
 
 
-def _places(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
-    """What the page says of each place, from the first run there; the seas of a study whose loops
-    the page has no room for are places without one."""
+def _experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
+    """What the page says of each experiment, from the first run there; the seas of a study whose
+    loops the page has no room for are experiments without one."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
-        _place(data, place, data.first_runs.get(p)) | shows.get(p, {})
-        for p, place in enumerate(data.places)
+        _experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
+        for p, experiment in enumerate(data.experiments)
     ]
 
 
-def _place(data: PageData, place: Place, run: RunRecord | None) -> dict[str, Any]:
-    said: dict[str, Any] = {"label": place.label, "mode": place.mode, "trial": place.units == "si"}
-    if place.study:
-        said |= {"study": place.study, "point": place.point, "sea": place.replicate}
+def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "label": experiment.label,
+        "mode": experiment.mode,
+        "trial": experiment.units == "si",
+    }
+    if experiment.study:
+        said |= {"study": experiment.study, "point": experiment.point, "sea": experiment.replicate}
     if run is None:
         return said
-    if not place.study:
+    if not experiment.study:
         said |= {"source": run.exported_by, "first": run.first_step}
     scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:

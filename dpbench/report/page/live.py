@@ -28,7 +28,7 @@ def _ladder(data: PageData) -> Charts:
     timed = time_table(data)
     if timed.empty:
         return {}
-    return {"ladder": ladder(timed, data.demand.deadline_ms, data.demand.p99_ms)}
+    return {"ladder": ladder(timed, data.requirements.deadline_ms, data.requirements.p99_ms)}
 
 
 def _matrix(data: PageData) -> Charts:
@@ -39,33 +39,34 @@ def _matrix(data: PageData) -> Charts:
 
 
 MATRIX = (
-    "A tile is what that place alone says of the demand. Wrong: an answer beyond it, or none. "
-    "Late: right, but too slow. Borderline: a time as near to its limit as rounds differ. Open: "
-    "not all of it was judged. A closed loop counts with the replay of its hardest steps."
+    "Each cell is the verdict of that scenario or replay alone. Fail: an answer beyond the "
+    "requirements, or none. Late: right, but too slow. Borderline: a time as near to its limit as "
+    "rounds differ. Inconclusive: not all of it was judged. A closed loop counts with the replay "
+    "of its hardest steps."
 )
 
 
 def _matrix_text(data: PageData) -> str:
-    """What the tiles are; and how many places are left out, where there are too many."""
+    """What the tiles are; and how many experiments are left out, where there are too many."""
     tiles = tile_table(data)
-    there, drawn = (t["place"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
+    there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
-    if any(data.places[p].units == "si" for p in data.judged_places):
+    if any(data.experiments[p].units == "si" for p in data.judged_experiments):
         said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
     if there != drawn:
-        most = f"The {drawn} of {there} places that miss it most"
-        said.append(f"{most}; all are in tables/places.csv.")
+        most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
+        said.append(f"{most}; all are in tables/experiments.csv.")
     return " ".join(said)
 
 
 def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
-    """What who gives a solver such a QP has to know: how many are then wrong at their defaults."""
-    unscaled = [str(p) for p in data.judged_places if data.places[p].units == "si"]
-    ran = tiles[tiles["place_id"].isin(unscaled) & tiles["state"].ne("not run")]
+    """What who gives a solver such a QP has to know: how many then fail at their defaults."""
+    unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
+    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["state"].ne("not run")]
     asked = ran[ran["settings"] == "default"]
-    wrong = asked.loc[asked["state"] == "wrong", "solver"].nunique()
-    return f"; {wrong} of {asked['solver'].nunique()} solvers are wrong there: scale the QP" * (
-        wrong > 0
+    failing = asked.loc[asked["state"] == "fail", "solver"].nunique()
+    return f"; {failing} of {asked['solver'].nunique()} solvers fail there: scale the QP" * (
+        failing > 0
     )
 
 
@@ -75,9 +76,9 @@ def _strips(data: PageData) -> Charts:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
-    charts = {"strips": strips(no_steps, forces, data.demand.error_move)}
+    charts = {"strips": strips(no_steps, forces, data.requirements.error_move)}
     if _replayed(data):
-        charts["strips_replay"] = strips(no_steps, None, data.demand.error_move)
+        charts["strips_replay"] = strips(no_steps, None, data.requirements.error_move)
     return charts
 
 
@@ -88,7 +89,7 @@ def _pairs(data: PageData) -> Charts:
 
 def _replayed(data: PageData) -> set[int]:
     """The configurations with a replay, by number."""
-    return {c for c, p in data.runs if data.places[p].mode == "replay"}
+    return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
 def _paired(data: PageData, _: Results) -> dict[str, Any]:
@@ -98,7 +99,7 @@ def _paired(data: PageData, _: Results) -> dict[str, Any]:
 
 def _accuracy(data: PageData) -> Charts:
     points = level_table(data)
-    return {} if points.empty else {"accuracy": accuracy(points, data.demand.error_move)}
+    return {} if points.empty else {"accuracy": accuracy(points, data.requirements.error_move)}
 
 
 def _study(data: PageData) -> Charts:

@@ -27,30 +27,30 @@ from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     NOBODY,
     clauses,
-    demand_text,
     deployment_facts,
     judged_on,
     paired_text,
+    requirements_text,
     usual_time,
     why_nothing,
 )
 from dpbench.solvers.settings import has_setting, level_options
 
 MOST_CHIPS = 16
-"""More places than these are counted by state, and named only where they are at most `FEW`."""
+"""More experiments than these are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
-MOST_OPEN = 2
-"""So many faster configurations are named that are open."""
+MOST_INCONCLUSIVE = 2
+"""So many faster configurations are named that are inconclusive."""
 
 
 @dataclass(frozen=True)
 class Chip:
-    """Whether the answer holds in a place, of number `place`; or in how many, without one."""
+    """Whether the answer holds in `experiment`, by its number; or in how many, without one."""
 
     said: str
     mark: str
     name: str = ""
-    place: int | None = None
+    experiment: int | None = None
 
     @property
     def text(self) -> str:
@@ -66,17 +66,17 @@ class Recommendation:
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Chip, ...]
     snippets: tuple[tuple[str, str], ...]
-    demand: str
+    requirements: str
     machine: str
     first: Configuration | None
     second: Configuration | None
 
     @staticmethod
     def why(verdict: Verdict) -> str:
-        """What is said against a configuration, or left open."""
+        """What is said against a configuration, or leaves it inconclusive."""
         if verdict.refusal:
             return verdict.refusal
-        if verdict.outcome == "meets":
+        if verdict.state == "pass":
             return ""
         return unmarked(clauses(verdict.causes or verdict.missing))
 
@@ -96,7 +96,7 @@ def build_recommendation(
     """
     found = choose_solver(data.verdicts)
     chosen = found.chosen
-    known = [v.configuration for v in data.verdicts.all if v.outcome != "not run"]
+    known = [v.configuration for v in data.verdicts.all if v.state != "not run"]
     first = chosen.configuration if chosen else known[0] if known else None
     other = found.faster or found.runner_up
     second = other.configuration if other else next((c for c in known if c != first), None)
@@ -112,7 +112,7 @@ def build_recommendation(
         notes=tuple(_notes(data, found)),
         chips=tuple(_chips(data, first)),
         snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
-        demand=demand_text(data.demand) if data.verdicts.of else "",
+        requirements=requirements_text(data.requirements) if data.verdicts.of else "",
         machine=_machine(machine),
         first=first,
         second=second,
@@ -124,14 +124,14 @@ def _sentence(data: PageData, found: SolverChoice) -> str:
     if chosen is None:
         return _nothing(data, found)
     c = chosen.configuration
-    heads = {"meets": "Use", "borderline": "Borderline:"}
-    head = heads.get(chosen.outcome, "Nothing contradicts")
-    left_open = "" if chosen.outcome == "meets" else f"; {unmarked(clauses(chosen.missing))}"
+    heads = {"pass": "Use", "borderline": "Borderline:"}
+    head = heads.get(chosen.state, "Nothing contradicts")
+    lacks = "" if chosen.state == "pass" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
         f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time(chosen)}, largest error of the "
         f"first move "
-        f"{error_text(chosen.error_move)}{left_open}."
+        f"{error_text(chosen.error_move)}{lacks}."
     )
 
 
@@ -175,8 +175,8 @@ def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
 
 
 def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Faster configurations whose verdict is open; none beside one that is no answer anyway."""
-    if found.chosen is None or found.chosen.outcome != "meets":
+    """Faster configurations that are inconclusive; none beside one that is no answer anyway."""
+    if found.chosen is None or found.chosen.state != "pass":
         return
     known = None if found.faster is None else found.faster.configuration.solver
     others = [
@@ -184,28 +184,31 @@ def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         for verdict in faster_but_open(data.records, data.verdicts, found.chosen)
         if verdict.configuration.solver != known
     ]
-    for verdict in others[:MOST_OPEN]:
+    for verdict in others[:MOST_INCONCLUSIVE]:
         why = "not run in closed loop" if not verdict.loops else unmarked(clauses(verdict.missing))
-        yield "open", f"{verdict.configuration.label} is faster on average, and open: {why}."
+        yield (
+            "inconclusive",
+            f"{verdict.configuration.label} is faster on average, and inconclusive: {why}.",
+        )
 
 
 def slower_text(data: PageData, chosen: Verdict) -> str:
     """State how much slower a computer may be, by the steps that bound it, and the stalls apart."""
-    margin, demand = data.margin(chosen.configuration), data.demand
+    margin, requirements = data.margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
     parts = [
         f"The computer may be up to × {rounded_down(margin.factor)} slower.",
-        f"The p99 reaches {demand.p99_ms:g} ms at × {rounded_down(margin.p99_limit)}: it is "
+        f"The p99 reaches {requirements.p99_ms:g} ms at × {rounded_down(margin.p99_limit)}: it is "
         f"{_slow_step_text(margin.p99)}.",
-        f"The hardest step takes the deadline of {demand.deadline_ms:g} ms at × "
+        f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
         f"{rounded_down(margin.deadline)}: it is {_slow_step_text(margin.hardest)}.",
     ]
     longest, arms_ns = data.longest_timing(chosen.configuration), largest_stall_ns(data.records)
     if longest is not None:
-        place, run = longest
+        experiment, run = longest
         arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
-        largest = f"{time_text(run.raw_max_ns)} in {place.label}{arms}"
+        largest = f"{time_text(run.raw_max_ns)} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
     return " ".join(parts)
 
@@ -222,44 +225,39 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = data.index(first)
-    places = data.judged_places
-    states = [data.state(c, p) for p in places]
+    experiments = data.judged_experiments
+    states = [data.state(c, p) for p in experiments]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{_said(state)}{_otherwise(data, first, p)}", marks[state], data.places[p].label, p)
-        for p, state in zip(places, states, strict=True)
+        Chip(
+            f"{state}{_otherwise(data, first, p)}",
+            marks[state],
+            data.experiments[p].label,
+            p,
+        )
+        for p, state in zip(experiments, states, strict=True)
         if state not in counted
     ]
     sums = [
-        Chip(f"{_said(state)} in {counts[state]} of {len(states)}", marks[state])
+        Chip(f"{state} in {counts[state]} of {len(states)}", marks[state])
         for state in counts
         if state in counted
     ]
     return [*sums, *named]
 
 
-_STATES = {"meets": "held"}
-"""Of the states, those that a chip has another word for."""
-
-
-def _said(state: str) -> str:
-    return _STATES.get(state, state)
-
-
 def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
-    """How the solver did in a place where it was run in other ways than the chosen one alone."""
+    """How the solver did in an experiment where only other call modes of it were run."""
     if (data.index(chosen), p) in data.runs:
         return ""
-    ways: dict[str, list[str]] = {}
+    modes: dict[str, list[str]] = {}
     for c, other in enumerate(data.configurations):
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
-            ways.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
-    others = [
-        f"{and_list(names)} {_said(state)}" for state, names in ways.items() if state != "not run"
-    ]
-    return f" this way ({'; '.join(others)})" if others else ""
+            modes.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
+    others = [f"{and_list(names)} {state}" for state, names in modes.items() if state != "not run"]
+    return f" in this call mode ({'; '.join(others)})" if others else ""
 
 
 def call_text(c: Configuration) -> str:

@@ -25,7 +25,7 @@ class Section:
     id, name : its anchor, and its name in the line of links.
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those of them that are on the page before any script has run.
-    data : what its script needs beside configurations, places and cells, by name.
+    data : what its script needs beside configurations, experiments and cells, by name.
     text : what its template says of this page.
     live : whether its script alone fills it, so that a page without scripts leaves it out.
     in_topic : whether it is a part of the topic of the same id.

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.data import PageData, number
 
@@ -88,11 +88,11 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     always = {
         "solver": runs["solver"],
-        "way": runs["route"] + " " + runs["policy"],
+        "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
         "where": map(_where, records_of(runs)),
         "outcome": runs["outcome"],
-        "demand": [_demand(data, key) for key in keys],
+        "verdict": [_verdict_alone(data, key) for key in keys],
     }
     columns: list[dict[str, Any]] = [
         {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
@@ -117,14 +117,14 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _demand(data: PageData, key: tuple[int, int] | None) -> str:
-    """What a run alone says of the demand; "" of one that is not judged by it."""
-    return "" if key is None or data.places[key[1]].study else data.state(*key)
+def _verdict_alone(data: PageData, key: tuple[int, int] | None) -> str:
+    """The verdict on a run alone; "" of one that is not judged."""
+    return "" if key is None or data.experiments[key[1]].study else data.state(*key)
 
 
 def _where(run: RunRecord) -> str:
     """Where a run was, as the page calls it, however slow the computer."""
-    return replace(Place.of(run), slowdown=0.0).label
+    return replace(Experiment.of(run), slowdown=0.0).label
 
 
 def _shown(name: str) -> dict[str, Any]:
@@ -136,12 +136,12 @@ def _shown(name: str) -> dict[str, Any]:
 
 
 def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """The tiles of as many places as the page has room for: of more those where the demand is
-    missed or open most often."""
+    """The tiles of as many experiments as the page has room for: of more those where fewest
+    pass."""
     if len(tiles) <= MOST_TILES:
         return tiles
-    places = tiles.groupby("place", sort=False)["state"]
-    room = max(1, MOST_TILES * len(places) // len(tiles))
-    unmet = places.agg(lambda states: int((states != "meets").sum()))
+    experiments = tiles.groupby("experiment", sort=False)["state"]
+    room = max(1, MOST_TILES * len(experiments) // len(tiles))
+    unmet = experiments.agg(lambda states: int((states != "pass").sum()))
     kept = unmet.sort_values(ascending=False, kind="stable").index[:room]
-    return tiles[tiles["place"].isin(kept)]
+    return tiles[tiles["experiment"].isin(kept)]

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.report.formats import share_text
 from dpbench.report.glossary import meanings, topics
 from dpbench.report.page.data import PageData
@@ -20,10 +20,17 @@ PHRASES = {
         name: name
         for name in (
             *("active limits", "certified optimum", "claimed", "closed loop", "deadline"),
-            *("demand", "disturbed", "exactly solved loop", "failed step", "fallback", "fresh"),
+            *(
+                "requirements",
+                "disturbed",
+                "exactly solved loop",
+                "failed step",
+                "fallback",
+                "fresh",
+            ),
             *("interval", "jitter", "native", "paired ratio", "qpsolvers", "radial error"),
             *("rate limit", "rate-limit step", "referee", "region of attraction", "replay"),
-            *("reuse", "round", "settings", "warm", "way"),
+            *("reuse", "round", "settings", "warm", "call mode"),
         )
     },
     "exactly solved": "exactly solved loop",
@@ -33,7 +40,7 @@ PHRASES = {
     "p99": "p50, p95, p99",
 }
 """What is looked for in a text, one or more of it, and the term of the glossary that it stands for.
-Words of everyday use such as *step* or *open* are not: every second one would be a link."""
+Words of everyday use such as *step* or *pass* are not: every second one would be a link."""
 _FOUND = re.compile(
     r"(?<![\w-])(?:" + "|".join(sorted(map(re.escape, PHRASES), key=len, reverse=True)) + r")s?\b",
     re.IGNORECASE,
@@ -117,35 +124,42 @@ class Terms:
         return [word_of(term) for term in self._listed]
 
 
-MOST_PLACES = 60
-"""So many places the list of words explains."""
+MOST_EXPERIMENTS = 60
+"""So many experiments the list of words explains."""
 
 
-def place_words(data: PageData) -> dict[int, Word]:
-    """The places that enter verdicts, by their number; those without a scenario are left out."""
+def experiment_words(data: PageData) -> dict[int, Word]:
+    """The experiments of verdicts, by their number; those without a scenario are left out."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
             first[p] = run
     named = {
-        p: _describe_place(data, data.places[p], first[p]) for p in data.judged_places[:MOST_PLACES]
+        p: _describe_experiment(data, data.experiments[p], first[p])
+        for p in data.judged_experiments[:MOST_EXPERIMENTS]
     }
-    return {p: Word(f"place-{p}", data.places[p].label, said) for p, said in named.items() if said}
+    return {
+        p: Word(f"experiment-{p}", data.experiments[p].label, said)
+        for p, said in named.items()
+        if said
+    }
 
 
-def _describe_place(data: PageData, place: Place, run: RunRecord) -> str:
-    """Describe the scenario of a place, for the page, in plain text."""
+def _describe_experiment(data: PageData, experiment: Experiment, run: RunRecord) -> str:
+    """Describe the scenario of an experiment, for the page, in plain text."""
     scenario = data.scenario(run) if run.scenario else None
     if scenario is None:
         return ""
     shows = re.split(r"(?<=\.)\s+(?=[A-Z])", scenario.shows.strip())[0]
     parts = [f"{part.strip().rstrip('.')}." for part in (scenario.title, shows) if part.strip()]
-    if place.mode == "replay":
+    if experiment.mode == "replay":
         parts.append(_describe_replay(data, run))
-    if place.units == "si":
+    if experiment.units == "si":
         parts.append("Here in N and N·m as they come: an extra that no verdict counts.")
-    if place.slowdown > 0:
-        parts.append(f"Here on a computer × {place.slowdown:g} slower, whose answers come later.")
+    if experiment.slowdown > 0:
+        parts.append(
+            f"Here on a computer × {experiment.slowdown:g} slower, whose answers come later."
+        )
     return " ".join(parts).replace("`", "")
 
 

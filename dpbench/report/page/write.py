@@ -24,7 +24,7 @@ from dpbench.report.page.live import SECTIONS, drawn_figures
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.page.tables import GROUPS, MOST_ROWS
-from dpbench.report.page.terms import Terms, place_words
+from dpbench.report.page.terms import Terms, experiment_words
 from dpbench.report.page.vendored import script, vendored
 
 ABOUT = (
@@ -82,10 +82,10 @@ def page_html(
     }
     lead = next((topic for topic in topics if topic.leads), None)
     *above, last = (section for section in shown if not section.in_topic)
-    places = place_words(data)
+    experiments = experiment_words(data)
     block = ""
     if not light:
-        document = page_document(data, results, recommendation, places)
+        document = page_document(data, results, recommendation, experiments)
         block = data.block.text(document | {"charts": _specifications(figures)})
     return rendered(
         "page",
@@ -111,7 +111,7 @@ def page_html(
         holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software_citation(results),
-        places=places,
+        experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=_footer(results),
         block=block,
@@ -121,9 +121,9 @@ def page_html(
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
 """Of the page, in the order they are loaded; the last one starts."""
 WORDS = (
-    *("demand", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
+    *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
-    *("meets", "borderline", "open", "late", "wrong", "not run"),
+    *("pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
 """Of the glossary what the page says of any solver, before the words on how they are run."""
 

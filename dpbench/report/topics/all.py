@@ -46,23 +46,23 @@ def topics_of(
     designs, capability : what lies beside the runs: of `load_designs` and `load_capability`.
     known : the studies of these records, where somebody has them already.
     """
-    demand = verdicts.demand
+    requirements = verdicts.requirements
     replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
     candidates = (
         conclusion_topic(records, verdicts),
         worst_case_topic(records),
-        horizon_topic(records, demand),
+        horizon_topic(records, requirements),
         slowdown_topic(records),
         study_topic(studies(records) if known is None else known),
         random_topic(records),
         consequence_topic(records),
         capability_topic(records, capability),
-        formulations_topic(records, demand),
-        loops_topic(records, demand) if loops else None,
+        formulations_topic(records, requirements),
+        loops_topic(records, requirements) if loops else None,
         race_topic(records) if replays else None,
         routes_topic(records) if replays else None,
-        levels_topic(records, demand) if replays else None,
-        thrusters_topic(records, demand),
+        levels_topic(records, requirements) if replays else None,
+        thrusters_topic(records, requirements),
         paper_topic(records, designs),
         trust_topic(records),
     )

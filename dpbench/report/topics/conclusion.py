@@ -14,8 +14,8 @@ from dpbench.analysis.suites.consequence import (
     in_all,
     largest_share,
 )
-from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
 from dpbench.analysis.verdict.fastest import choose_solver
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.steering import (
     Steering,
     is_about_thrusters,
@@ -31,22 +31,22 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """The topic; None of a suite that is not about thrusters."""
     if not is_about_thrusters(records):
         return None
-    demand, chosen = verdicts.demand, choose_solver(verdicts).chosen
-    steering = steering_of(records, demand)
+    requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
+    steering = steering_of(records, requirements)
     if not steering.with_thrusters:
         return None
-    first = [_use(chosen, demand), _others(steering)]
-    second = [*_after_a_loss(records, chosen, demand), *_consequence(records, chosen)]
+    first = [_use(chosen, requirements), _others(steering)]
+    second = [*_after_a_loss(records, chosen, requirements), *_consequence(records, chosen)]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _use(chosen: Verdict | None, demand: Demand) -> str:
+def _use(chosen: Verdict | None, requirements: Requirements) -> str:
     """Which solver, and how far from the deadline it stays."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
-    share = of_sample_text(chosen.algo_max_ns / demand.deadline_ns)
-    if chosen.outcome != "meets":
+    share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
+    if chosen.state != "pass":
         label = chosen.configuration.label
         return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
     return (
@@ -64,14 +64,14 @@ def _others(steering: Steering) -> str:
     before = steering.fine_with_forces
     if not before:
         fine, run = len(steering.fine), len(steering.with_thrusters)
-        said = [f"{fine} of {plural(run, 'solver')} {_do(fine)} what is demanded"]
-        said = said if fine else ["no solver that was run is known to do what is demanded"]
+        said = [f"{fine} of {plural(run, 'solver')} {_pass(fine)}"]
+        said = said if fine else ["no solver that was run is known to pass"]
         missing, unknown = steering.missing, steering.undecided
         said += [f"not so: {_by_fault(steering, missing)}"] if missing else []
-        said += [f"open: {and_list(unknown)}"] if unknown else []
+        said += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{said[0].capitalize()}{'; '.join(['', *said[1:]])}."
     lost, where = steering.only_with_forces, and_list(list(steering.forces))
-    head = f"Of {plural(len(before), 'solver')} that {_do(len(before))} what is demanded with "
+    head = f"Of {plural(len(before), 'solver')} that {_pass(len(before))} with "
     head += f"three forces ({where})"
     if not lost:
         return f"{head}, none fails with thrusters."
@@ -79,8 +79,8 @@ def _others(steering: Steering) -> str:
     return f"{head}, {len(lost)} {fail} with thrusters: {_by_fault(steering, lost)}."
 
 
-def _do(count: int) -> str:
-    return "does" if count == 1 else "do"
+def _pass(count: int) -> str:
+    return "passes" if count == 1 else "pass"
 
 
 def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
@@ -89,13 +89,15 @@ def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
-def _after_a_loss(records: Records, chosen: Verdict | None, demand: Demand) -> Iterator[str]:
+def _after_a_loss(
+    records: Records, chosen: Verdict | None, requirements: Requirements
+) -> Iterator[str]:
     """How far off the ship is once thrusters are lost, where the answers are right."""
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
         lost, own = lost_late(run), run.configuration.in_common_formulation == chosen.configuration
-        if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, demand):
+        if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
             yield (
                 f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
                 f"within {rounded_up(run.r_tail_max_m, 2)} m."

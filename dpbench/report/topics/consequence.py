@@ -118,14 +118,14 @@ def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
 
 
 def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:
-    """The best configuration of each solver, and how many of its ways to run are all right."""
+    """The best configuration of each solver, and how many of its configurations are all right."""
     for solver, best in analysis.best.items():
-        ways = [answers.all_right for answers in analysis.answers if answers.solver == solver]
-        yield row_of(best, ways)
+        right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        yield row_of(best, right)
 
 
-def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
-    """The cells of a solver by their heads; `ways`: whether each of its configurations is all
+def row_of(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+    """The cells of a solver by their heads; `right`: whether each of its configurations is all
     right."""
     return {
         "configuration": best.name,
@@ -136,5 +136,5 @@ def row_of(best: BatchAnswers, ways: Sequence[bool]) -> dict[str, str]:
         "missed alarms": str(best.missed),
         "other untrue claims": str(best.untrue - best.missed),
         "no answer": str(best.silent),
-        "ways all right": f"{sum(ways)} of {len(ways)}",
+        "configurations all right": f"{sum(right)} of {len(right)}",
     }

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
 from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 
-def loops_topic(records: Records, demand: Demand) -> Topic | None:
+def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     """The topic; None of records without closed loops."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
@@ -22,7 +22,7 @@ def loops_topic(records: Records, demand: Demand) -> Topic | None:
     if not by_name:
         return None
     whole = {
-        name: sum(is_right_to_the_end(run, demand) for run in runs)
+        name: sum(is_right_to_the_end(run, requirements) for run in runs)
         for name, runs in by_name.items()
     }
     most = max(len(runs) for runs in by_name.values())

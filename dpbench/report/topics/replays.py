@@ -17,7 +17,7 @@ from dpbench.analysis.times.contrasts import (
     route_gains,
 )
 from dpbench.analysis.times.pairs import paired
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
@@ -57,11 +57,11 @@ def _ratio_text(ratio: Interval) -> str:
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
-def formulations_topic(records: Records, demand: Demand) -> Topic | None:
+def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
     """The same QPs in other forms; None where no sequence was run in two."""
     tables = _tables(
         records,
-        demand,
+        requirements,
         [run for run in records.all_runs if not run.has_topic],
         varied=lambda run: run.formulation,
         kept=lambda run: run.configuration.in_common_formulation.label,
@@ -69,18 +69,18 @@ def formulations_topic(records: Records, demand: Demand) -> Topic | None:
     if not tables:
         return None
     said = (
-        _fastest_forms(records, demand),
+        _fastest_forms(records, requirements),
         "Median step time of the same QPs in each form; a solver is judged in the common one.",
     )
     return Topic("formulations", "Formulations", said, (), tuple(tables))
 
 
-def levels_topic(records: Records, demand: Demand) -> Topic | None:
+def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     """What each settings level costs; None where there is but one."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     tables = _tables(
         records,
-        demand,
+        requirements,
         runs,
         varied=lambda run: run.settings,
         kept=lambda run: replace(run.configuration, settings="default").label,
@@ -88,16 +88,16 @@ def levels_topic(records: Records, demand: Demand) -> Topic | None:
     if not tables:
         return None
     said = (
-        _right_levels(records, demand),
+        _right_levels(records, requirements),
         "Median step time at each settings level, from the library's own to the tightest.",
     )
     return Topic("levels", "Settings", said, (), tuple(tables))
 
 
-def _right_levels(records: Records, demand: Demand) -> str:
+def _right_levels(records: Records, requirements: Requirements) -> str:
     """Which solvers are right on every step with the settings of their library, and which only with
     others."""
-    good = right_levels(records, demand)
+    good = right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"
@@ -112,8 +112,8 @@ def _right_levels(records: Records, demand: Demand) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Two solvers on the same steps, in one way and at one setting; None of any other number of
-    solvers, ways or settings."""
+    """Two solvers on the same steps, in one call mode and at one setting; None of any other number
+    of solvers, call modes or settings."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
@@ -129,7 +129,7 @@ def race_topic(records: Records) -> Topic | None:
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
-    head = ("sequence", "way", *times, "ratio (95 %)")
+    head = ("sequence", "call mode", *times, "ratio (95 %)")
     lead = f"{first} takes {', '.join(said)} times as long a step as {second}."
     note = "Geometric mean of the paired ratios of all common steps."
     return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
@@ -137,7 +137,7 @@ def race_topic(records: Records) -> Topic | None:
 
 def _tables(
     records: Records,
-    demand: Demand,
+    requirements: Requirements,
     runs: Sequence[RunRecord],
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
@@ -154,16 +154,16 @@ def _tables(
         rows = []
         for name, of_row in grouped(of_problem, kept).items():
             own = {varied(run): run for run in of_row}
-            cells = (_median_text(records, own.get(column), demand) for column in columns)
+            cells = (_median_text(records, own.get(column), requirements) for column in columns)
             rows.append((name, *cells))
         title = sequence + (" (SI units)" if units == "si" else "")
         tables.append(Table(("configuration", *columns), tuple(rows), title))
     return tables
 
 
-def _fastest_forms(records: Records, demand: Demand) -> str:
+def _fastest_forms(records: Records, requirements: Requirements) -> str:
     """How often each form is the fastest right one."""
-    wins = fastest_forms(records, demand)
+    wins = fastest_forms(records, requirements)
     said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
         "Fastest form with right answers, of "
@@ -171,10 +171,10 @@ def _fastest_forms(records: Records, demand: Demand) -> str:
     )
 
 
-def _median_text(records: Records, run: RunRecord | None, demand: Demand) -> str:
+def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
     """Median step time of a replay; how it ended where it left no step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
     text = time_text(median(times.algo_ns))
-    return text if is_right(run, demand) else f"{text} (not right)"
+    return text if is_right(run, requirements) else f"{text} (not right)"

@@ -10,20 +10,20 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
 from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
-from dpbench.analysis.verdict.demand import MARGIN, Demand, cost_ratio
+from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def horizon_topic(records: Records, demand: Demand) -> Topic | None:
+def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
     """How the step time grows with the horizon; None where it was not varied."""
     figures, tables = [], []
-    all_sweeps = sweeps(records, demand)
+    all_sweeps = sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
-        limit = f"{_by(sweep)} within {demand.p99_ms:g} ms"
+        limit = f"{_by(sweep)} within {requirements.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
@@ -35,7 +35,7 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
                 {
                     "configuration": name,
                     "grows as n^": MISSING if growth is None else significant(growth, 2),
-                    f"largest horizon, {limit}": _longest(sweep, swept, demand.p99_ns),
+                    f"largest horizon, {limit}": _longest(sweep, swept, requirements.p99_ns),
                 }
             )
         if points:
@@ -44,32 +44,30 @@ def horizon_topic(records: Records, demand: Demand) -> Topic | None:
                 f"Step time over the size of the QP, {sweep.name}",
                 ("variables", "d"),
                 ("median step time [µs]", "~g"),
-                limit=demand.p99_ms * 1e3,
+                limit=requirements.p99_ms * 1e3,
             )
-            figures.append(
-                Figure(f"horizon-{sweep.name}", chart, "Hollow: answers miss the demand there.")
-            )
+            figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
             tables.append(Table.of(rows, sweep.name))
     if not figures:
         return None
     said = (
-        *_longest_horizons(all_sweeps, demand),
+        *_longest_horizons(all_sweeps, requirements),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
 
 
-def _longest_horizons(all_sweeps: Sequence[Sweep], demand: Demand) -> list[str]:
+def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
     """Who fits the longest horizon, a sentence for each scenario."""
     said = []
     for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
-            if (fits := sweep.longest_within(swept, demand.p99_ns)) is not None
+            if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
         }
-        limit = f"with {_by(sweep)} within {demand.p99_ms:g} ms"
+        limit = f"with {_by(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
             said.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, is_right_to_the_end
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.steering import (
     is_about_thrusters,
     largest_ratio,
@@ -27,17 +27,17 @@ LIKE = 0.01
 """Shares of power and wear that differ by less are alike."""
 
 
-def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
+def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
     """The topic; None where no thruster is steered."""
-    found = thruster_control_loops(records, demand)
+    found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _lead(best, configurations, demand)
+    lead = _lead(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
-    rows = [row_of(name, of_it, best, demand) for name, of_it in configurations.items()]
+    rows = [row_of(name, of_it, best, requirements) for name, of_it in configurations.items()]
     rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
@@ -53,12 +53,14 @@ def thrusters_topic(records: Records, demand: Demand) -> Topic | None:
 
 
 def _lead(
-    best: dict[str, RunRecord], configurations: dict[str, list[RunRecord]], demand: Demand
+    best: dict[str, RunRecord],
+    configurations: dict[str, list[RunRecord]],
+    requirements: Requirements,
 ) -> str:
     """How hard the thrusters work, and how many configurations keep up."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
-        {run.scenario for run in runs if is_right_to_the_end(run, demand)} == set(best)
+        {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
         for runs in configurations.values()
     )
     return (
@@ -71,11 +73,11 @@ def _lead(
 
 
 def row_of(
-    name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], demand: Demand
+    name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
     """The cells of a configuration by their heads."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
-    right = sum(is_right_to_the_end(run, demand) for run in runs)
+    right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
     return {
         "configuration": name,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
-from dpbench.analysis.verdict.demand import Demand, cost_ratio
+from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.topics.sweeps import slowdown_topic
 
@@ -104,9 +104,9 @@ def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
     fill(records)
     after = records.view()
     assert [run.run_id for run in after.runs] == [run.run_id for run in before.runs]
-    old, new = (verdicts_of(view, Demand()).all for view in (before, after))
-    assert [(v.configuration, v.outcome, v.loops, v.steps) for v in new] == [
-        (v.configuration, v.outcome, v.loops, v.steps) for v in old
+    old, new = (verdicts_of(view, Requirements()).all for view in (before, after))
+    assert [(v.configuration, v.state, v.loops, v.steps) for v in new] == [
+        (v.configuration, v.state, v.loops, v.steps) for v in old
     ]
     assert len(after.delayed) == 12
 

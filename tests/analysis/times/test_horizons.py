@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.analysis.times.horizon_sweep import SweptConfiguration, growth_exponent, sweeps
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.topics.sweeps import horizon_topic
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 PAIRS = ((30, 5), (60, 10), (100, 20), (200, 40))
 
 
@@ -68,7 +68,7 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
             _replay(records, solver, pair, median_us=10.0 * pair[1], spread=0.3, rounds=1)
         (configuration,) = (
             a
-            for s in sweeps(records.view(), DEMAND)
+            for s in sweeps(records.view(), REQUIREMENTS)
             for a in s.swept
             if a.configuration.solver == solver
         )
@@ -80,14 +80,14 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     """A fast way with wrong answers gives way to a slower one; both are in the sweep."""
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = sweeps(records.view(), REQUIREMENTS)
     assert [configuration.configuration.options for configuration in sweep.best] == ["native reuse"]
     every = [configuration.configuration.options for configuration in sweep.swept]
     assert every == ["native warm", "native reuse"]
 
 
 def _best(records: Any) -> dict[tuple[str, str], SweptConfiguration]:
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = sweeps(records.view(), REQUIREMENTS)
     return {(s.configuration.solver, s.configuration.formulation): s for s in sweep.best}
 
 
@@ -132,7 +132,7 @@ def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
     for pair in PAIRS[:2]:
         _replay(records, "piqp", pair, median_us=30.0 * pair[1], spread=0.0, rounds=1)
     _law(records, "scs", 1000.0, 1.0)
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     shown = {row[0].split()[0]: row for row in topic.tables[0].rows}
     assert {name: row[2] for name, row in shown.items()} == {
@@ -153,7 +153,7 @@ def test_a_thin_sweep_has_no_p99(records: Any) -> None:
     (swept,) = _best(records).values()
     assert all(math.isnan(point.p99_ns) for point in swept.points.values())
     assert swept.largest_within(1e9) is None
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None and topic.lines[0].endswith("with each of 999 steps within 3 ms.")
     assert topic.tables[0].rows[0][2] == "200/40"
 
@@ -162,7 +162,7 @@ def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
     """Three forces times the control horizon: 15 to 120; points with wrong answers are hollow."""
     _law(records, "daqp", 10.0, 1.0)
     _law(records, "osqp", 10.0, 1.0, error=0.4)
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     (data, *_) = (d for d in topic.figures[0].chart.to_dict()["datasets"].values() if len(d) > 1)
     assert sorted({row["x"] for row in data}) == [3 * N_c for _, N_c in PAIRS]
@@ -185,11 +185,11 @@ def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
 def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -> None:
     """One horizon, two windows of it, or another scenario make no sweep."""
     records.replay("daqp", "paper", steps=40)
-    assert sweeps(records.view(), DEMAND) == []
+    assert sweeps(records.view(), REQUIREMENTS) == []
     _replay(records, "daqp", (60, 10), steps=40)
     _replay(records, "osqp", (60, 10), steps=50)
-    assert sweeps(records.view(), DEMAND) == []
-    assert horizon_topic(records.view(), DEMAND) is None
+    assert sweeps(records.view(), REQUIREMENTS) == []
+    assert horizon_topic(records.view(), REQUIREMENTS) is None
     _replay(records, "daqp", (30, 5), steps=40)
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = sweeps(records.view(), REQUIREMENTS)
     assert sweep.horizons == [(30, 5), (60, 10)]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.pairs import PairedComparison, paired_comparison
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 
 EXACT = {"spread": 0.0, "rounds": 1}
@@ -15,7 +15,7 @@ EXACT = {"spread": 0.0, "rounds": 1}
 
 def _compared(records: Any) -> PairedComparison:
     view = records.view()
-    first, second = verdicts_of(view, Demand()).references
+    first, second = verdicts_of(view, Requirements()).references
     return paired_comparison(view, first, second)
 
 

@@ -7,15 +7,15 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.solver_tables import tile_table, time_table
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.places import PlacedRuns
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.solvers.calibration import COPY_ONLY
 
 
-def _placed(records: Any) -> PlacedRuns:
+def _matrix(records: Any) -> RunMatrix:
     view = records.view()
-    return PlacedRuns.placed(view, verdicts_of(view, Demand()), [], 0)
+    return RunMatrix.from_records(view, verdicts_of(view, Requirements()), [], 0)
 
 
 def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
@@ -24,11 +24,11 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
-    assert time_table(_placed(records))["share"].tolist() == [0.0]
+    assert time_table(_matrix(records))["share"].tolist() == [0.0]
     records.replay(COPY_ONLY, algo_p50_ns=30e3, route="native", policy="reuse")
-    placed = _placed(records)
-    (row,) = time_table(placed).to_dict("records")
-    verdict = placed.verdicts.references[0]
+    matrix = _matrix(records)
+    (row,) = time_table(matrix).to_dict("records")
+    verdict = matrix.verdicts.references[0]
     assert row["solver"] == "daqp" and row["share"] == 1.0
     times = [row[name] * 1e6 for name in ("p50_ms", "p99_ms", "max_ms")]
     expected = [verdict.p50_ns, verdict.p99_ns, verdict.algo_max_ns]
@@ -36,14 +36,14 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
 
 
 def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
-    """The matrix has a tile for each solver, level and place, run or not."""
+    """The matrix has a tile for each solver, level and experiment, run or not."""
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = tile_table(_placed(records)).set_index(["settings", "place"])["state"]
+    tiles = tile_table(_matrix(records)).set_index(["settings", "experiment"])["state"]
     assert tiles.to_dict() == {
-        ("default", "paper"): "wrong",
-        ("default", "calm"): "wrong",
-        ("high", "paper"): "meets",
+        ("default", "paper"): "fail",
+        ("default", "calm"): "fail",
+        ("high", "paper"): "pass",
         ("high", "calm"): "not run",
     }

@@ -6,17 +6,17 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.solver_tables import LevelPoint, level_points
-from dpbench.analysis.verdict.demand import Demand, is_right
 from dpbench.analysis.verdict.fastest import fastest_of, qualifying, ranked_qualifying
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
 from dpbench.report.report import Report
 from dpbench.report.verdict_text import judged_on
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _found(records: Any) -> Verdicts:
-    return verdicts_of(records.view(), DEMAND)
+    return verdicts_of(records.view(), REQUIREMENTS)
 
 
 def _labels(records: Any) -> list[str]:
@@ -31,7 +31,7 @@ def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
     records.replay("osqp", route="native", policy="fresh", median_us=5.0, error=0.5)
     records.replay("osqp", median_us=50.0)
     (verdict,) = _found(records).references
-    assert (verdict.outcome, verdict.configuration.route) == ("meets", "qpsolvers")
+    assert (verdict.state, verdict.configuration.route) == ("pass", "qpsolvers")
     assert verdict.p99_ns > 40e3
 
 
@@ -40,11 +40,11 @@ def test_a_solver_without_wrapper_is_judged_natively(records: Any) -> None:
     records.loop("qoco", route="native")
     records.replay("qoco", route="native")
     (verdict,) = _found(records).references
-    assert (verdict.outcome, verdict.configuration.route) == ("meets", "native")
+    assert (verdict.state, verdict.configuration.route) == ("pass", "native")
 
 
 def test_the_fastest_configuration_is_one_with_right_answers(records: Any) -> None:
-    """A faster configuration whose answers miss the demand, or fail, is no candidate."""
+    """A faster configuration whose answers fail, or fail, is no candidate."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=10.0, route="native", policy="reuse")
     records.replay("daqp", median_us=5.0, route="native", policy="warm", error=0.5)
@@ -79,12 +79,12 @@ def test_who_remembers_answers_is_never_the_fastest(
         records.loop(solver)
         records.replay(solver, median_us=median, **(witness if solver == "table" else {}))
     found = _found(records)
-    assert {v.configuration.solver: v.outcome for v in found.references} == {
-        "table": "open",
-        "daqp": "meets",
+    assert {v.configuration.solver: v.state for v in found.references} == {
+        "table": "inconclusive",
+        "daqp": "pass",
     }
     assert _labels(records) == ["daqp (qpsolvers fresh)"]
-    right = {run.solver: is_right(run, DEMAND) for run in records.view().replays("paper")}
+    right = {run.solver: is_right(run, REQUIREMENTS) for run in records.view().replays("paper")}
     assert right == {"table": False, "daqp": True}
 
 
@@ -204,7 +204,7 @@ def test_an_accuracy_has_to_be_achieved_on_every_sequence(records: Any) -> None:
     ("fill", "says"),
     [
         (False, "Nothing is recommended, as no replay left a step, so nothing is timed."),
-        (True, "Nothing is recommended: no solver meets the demand in any configuration that was"),
+        (True, "Nothing is recommended: no solver passes in any configuration that was"),
     ],
 )
 def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> None:

@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand, cost_ratio, is_right, survived
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
     LATE,
+    MISSED,
     NEAR,
-    OUTCOMES,
     OWN_DOING,
     STATES,
     Finding,
     worst_first,
 )
+from dpbench.analysis.verdict.requirements import Requirements, cost_ratio, is_right, survived
 
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
@@ -40,19 +40,21 @@ def test_a_finding_without_a_figure() -> None:
     assert math.isnan(found.value) and math.isnan(found.machine)
 
 
-def test_outcomes_and_states_are_ordered_from_best_to_worst() -> None:
-    """A failed verdict is late or wrong; a crash is wrong, a hang is late."""
-    assert OUTCOMES == ("meets", "borderline", "open", "misses", "not run")
-    assert STATES == ("meets", "borderline", "open", "late", "wrong", "not run")
+def test_verdicts_are_ordered_from_best_to_worst() -> None:
+    """What something contradicts is late or fails; a crash fails, a hang is late."""
+    assert MISSED == ("late", "fail")
+    assert STATES == ("pass", "borderline", "inconclusive", "late", "fail", "not run")
     assert [kind in LATE for kind in OWN_DOING] == [False, True]
     assert not {*DOUBTS} & {*NEAR} and not {*LATE} & {*DOUBTS, *NEAR}
 
 
 def test_the_requirements_of_a_suite() -> None:
     """Entries replace the defaults, unknown ones are ignored, limits are in ns as well."""
-    assert Demand.of({}) == Demand(1e-2, 0, 3.0, 300.0)
-    found = Demand.of({"demand": {"p99_ms": 2.0, "deadline_ms": 50.0, "failed_steps": 1, "x": 1}})
-    assert found == Demand(1e-2, 1, 2.0, 50.0)
+    assert Requirements.of({}) == Requirements(1e-2, 0, 3.0, 300.0)
+    found = Requirements.of(
+        {"requirements": {"p99_ms": 2.0, "deadline_ms": 50.0, "failed_steps": 1, "x": 1}}
+    )
+    assert found == Requirements(1e-2, 1, 2.0, 50.0)
     assert (found.p99_ns, found.deadline_ns) == (2e6, 5e7)
 
 
@@ -73,7 +75,7 @@ def test_a_run_is_right_with_all_steps_and_no_memory(
     """Every planned step has an answer within the limit that was not remembered."""
     records.loop("daqp", **columns)
     (run,) = records.view().runs
-    assert is_right(run, Demand()) is right
+    assert is_right(run, Requirements()) is right
 
 
 @pytest.mark.parametrize(("done", "ratio"), [(119, None), (120, 1.5), (121, 1.5)])

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     Machine,
@@ -17,10 +16,11 @@ from dpbench.analysis.verdict.lateness import (
     find_late_timings,
     trusted,
 )
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.solvers.calibration import COPY_ONLY
 
-DEMAND = Demand(p99_ms=3.0, deadline_ms=300.0)
+REQUIREMENTS = Requirements(p99_ms=3.0, deadline_ms=300.0)
 UNCERTAINTY = Uncertainty({}, {}, {}, 2.0)
 """A loop is late from 6 ms on."""
 BASE_NS = 20_000
@@ -29,7 +29,7 @@ BASE_NS = 20_000
 def _found(records: Any) -> dict[str, list[LateTimings]]:
     """The late timings by solver."""
     view = records.view()
-    by_run = find_late_timings(view, DEMAND, UNCERTAINTY)
+    by_run = find_late_timings(view, REQUIREMENTS, UNCERTAINTY)
     solvers = {run.run_id: run.solver for run in view.runs}
     return {solvers[run_id]: found for run_id, found in by_run.items()}
 
@@ -126,9 +126,9 @@ def test_the_half_of_the_solvers_with_fewer_stalls_is_trusted(solvers: str, expe
     replays: list[Any] = [
         SimpleNamespace(run_id=name, solver=name[0]) for name in stalls if name[0] in solvers
     ]
-    assert "".join(run.solver for run in trusted(replays, [], stalls, DEMAND)) == expected
+    assert "".join(run.solver for run in trusted(replays, [], stalls, REQUIREMENTS)) == expected
     arm: Any = SimpleNamespace(run_id="arm", solver="arm")
-    assert trusted(replays, [arm], stalls, DEMAND) == [arm]
+    assert trusted(replays, [arm], stalls, REQUIREMENTS) == [arm]
 
 
 def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:

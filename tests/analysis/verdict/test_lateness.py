@@ -10,7 +10,6 @@ import pytest
 from scipy.stats import binom, poisson
 
 from dpbench.analysis.records.step_times import delays_by_run, delays_of
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,
@@ -19,9 +18,10 @@ from dpbench.analysis.verdict.lateness import (
     adjust,
     estimate_machine,
 )
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 HONEST = ("quadprog", "piqp", "clarabel", "highs", "ecos")
 """The other solvers of the same rounds."""
 
@@ -38,7 +38,7 @@ def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
 
 
 def _verdict(records: Any, solver: str = "daqp") -> Any:
-    return verdicts_of(records.view(), DEMAND).of[solver][0]
+    return verdicts_of(records.view(), REQUIREMENTS).of[solver][0]
 
 
 def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int, int], float]:
@@ -52,7 +52,7 @@ def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int,
     [
         (3, 10.0, "late", "late timings"),
         (23, 10.0, "late", "late timings"),
-        (203, 10.0, "open", "late at random"),
+        (203, 10.0, "inconclusive", "late at random"),
         (211, 400.0, "late", "past the deadline"),
     ],
 )
@@ -78,21 +78,23 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
         for i, solver in enumerate(("daqp", *HONEST))
     }
     _campaign(records, **shifted)
-    found = {finding.kind for v in verdicts_of(records.view(), DEMAND).all for finding in v.doubts}
+    found = {
+        finding.kind for v in verdicts_of(records.view(), REQUIREMENTS).all for finding in v.doubts
+    }
     assert "late at random" not in found
 
 
 def test_a_burst_in_one_round_is_no_lateness_at_random(records: Any) -> None:
     """Eight stalls in one of five rounds: the middle round has none."""
     _campaign(records, daqp={(2, k): 4.0 for k in range(30, 600, 75)})
-    assert _verdict(records).outcome == "meets"
+    assert _verdict(records).state == "pass"
 
 
 def test_a_second_liar_hides_nobody(records: Any) -> None:
     """Both are late at random; those proven so are no measure of the machine."""
     _campaign(records, daqp=_every(23, 10.0), piqp=_every(23, 10.0))
     assert _verdict(records).state == _verdict(records, "piqp").state == "late"
-    assert _verdict(records, "ecos").state == "meets"
+    assert _verdict(records, "ecos").state == "pass"
 
 
 def test_without_others_it_is_open(records: Any) -> None:
@@ -103,7 +105,7 @@ def test_without_others_it_is_open(records: Any) -> None:
     frame.loc[frame["k"] % 23 == 0, "total_ns"] = 10_000_000
     frame.loc[frame["repeat"] == 1, "total_ns"] = 20_000
     verdict = _verdict(records)
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert "perhaps late timings" in {finding.kind for finding in verdict.doubts}
 
 
@@ -119,9 +121,9 @@ def _loop(records: Any, late: int, switches: float) -> Any:
     [
         (47, 0, "late"),
         (47, 12, "late"),
-        (47, 40, "meets"),  # 7 of 450 are left, where a p99 allows 4 to 5
-        (4, 0, "meets"),
-        (47, np.nan, "open"),
+        (47, 40, "pass"),  # 7 of 450 are left, where a p99 allows 4 to 5
+        (4, 0, "pass"),
+        (47, np.nan, "inconclusive"),
     ],
 )
 def test_a_loop_is_late_beyond_its_context_switches(
@@ -165,7 +167,7 @@ def _waiting(records: Any, solver: str, waited_ns: float, **columns: Any) -> Non
 
 
 @pytest.mark.parametrize(
-    ("waited_ns", "state"), [(9_980_000, "meets"), (9_000_000, "open"), (0, "open")]
+    ("waited_ns", "state"), [(9_980_000, "pass"), (9_000_000, "inconclusive"), (0, "inconclusive")]
 )
 def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, state: str) -> None:
     """Others waited as long and as often, so that the gross timings would contradict nobody.
@@ -176,10 +178,10 @@ def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, stat
         records.loop(solver)
         _waiting(records, solver, waited_ns if solver == "daqp" else 9_980_000)
     assert _verdict(records).state == state
-    assert _verdict(records, "ecos").state == "meets"
+    assert _verdict(records, "ecos").state == "pass"
 
 
-@pytest.mark.parametrize(("switches", "state"), [(2499, "open"), (2500, "meets")])
+@pytest.mark.parametrize(("switches", "state"), [(2499, "inconclusive"), (2500, "pass")])
 def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -> None:
     """A solver that waits in half of its 5000 calls waits for threads, whose wait for the core is
     not in its own: its timings are compared as they are."""
@@ -191,7 +193,7 @@ def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -
     assert _verdict(records).state == state
 
 
-@pytest.mark.parametrize(("waited_ns", "state"), [(9_980_000, "meets"), (0, "late")])
+@pytest.mark.parametrize(("waited_ns", "state"), [(9_980_000, "pass"), (0, "late")])
 def test_a_loop_is_late_beyond_its_waits(records: Any, waited_ns: float, state: str) -> None:
     """47 of 450 timings; where waits are known, context switches explain nothing beyond them."""
     records.loop("daqp", steps=450, raw_p50_ns=20e3, involuntary_switches=100)

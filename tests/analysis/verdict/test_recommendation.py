@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import (
     best_of_each,
     choose_solver,
@@ -20,6 +19,7 @@ from dpbench.analysis.verdict.fastest import (
     ranked_qualifying,
 )
 from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import Configuration
 
@@ -34,21 +34,21 @@ def _verdict(
     settings: str = "default",
     route: Any = "qpsolvers",
     policy: Any = "fresh",
-    outcome: Any = "meets",
+    state: Any = "pass",
     **figures: Any,
 ) -> Verdict:
     """A verdict on a configuration that was timed in one loop and one replay."""
     rounds = p99_ns, p99_ns
     usual = {"timed_on": "paper", "loops": 1, "replays": 1, "rounds_ns": rounds}
     configuration = Configuration(solver, route, policy, settings)
-    return Verdict(configuration, outcome, p99_ns=p99_ns, **(usual | figures))
+    return Verdict(configuration, state, p99_ns=p99_ns, **(usual | figures))
 
 
 def _verdicts(*verdicts: Verdict) -> Verdicts:
     of: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         of.setdefault(verdict.configuration.solver, []).append(verdict)
-    return Verdicts(Demand(), of)
+    return Verdicts(Requirements(), of)
 
 
 def _names(verdicts: list[Verdict]) -> list[str]:
@@ -169,28 +169,28 @@ def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "chosen"),
+    ("states", "chosen"),
     [
-        (("meets", "borderline", "open"), 0),
-        (("borderline", "meets", "open"), 1),
-        (("open", "borderline", "meets"), 2),
-        (("open", "borderline", "open"), 1),
-        (("open", "open", "open"), 0),
+        (("pass", "borderline", "inconclusive"), 0),
+        (("borderline", "pass", "inconclusive"), 1),
+        (("inconclusive", "borderline", "pass"), 2),
+        (("inconclusive", "borderline", "inconclusive"), 1),
+        (("inconclusive", "inconclusive", "inconclusive"), 0),
     ],
 )
-def test_a_better_outcome_precedes_a_shorter_time(
-    outcomes: tuple[str, str, str], chosen: int
+def test_a_better_verdict_precedes_a_shorter_time(
+    states: tuple[str, str, str], chosen: int
 ) -> None:
     """Solvers that pass are compared first, then borderline ones, then all that are qualifying."""
     solvers = ("daqp", "piqp", "osqp")
     verdicts = [
-        _verdict(solver, 10.0 * (i + 1), outcome=outcome)
-        for i, (solver, outcome) in enumerate(zip(solvers, outcomes, strict=True))
+        _verdict(solver, 10.0 * (i + 1), state=state)
+        for i, (solver, state) in enumerate(zip(solvers, states, strict=True))
     ]
     found = choose_solver(_verdicts(*verdicts))
     assert found.chosen is verdicts[chosen]
     assert found.faster is None
-    assert (found.runner_up is None) == (outcomes.count("open") < 3)
+    assert (found.runner_up is None) == (states.count("inconclusive") < 3)
 
 
 def test_a_solver_that_is_not_known_here() -> None:
@@ -209,22 +209,22 @@ def test_the_verdict_that_shows_each_solver() -> None:
     """It has the best state; of those the fastest qualifying one, the reference, or the fastest."""
     shown = {
         "a": _verdict("a", 30.0, settings="high"),
-        "b": _verdict("b", 50.0, outcome="misses", causes=LATE),
-        "c": _verdict("c", 20.0, settings="low", outcome="misses", causes=LATE),
-        "d": _verdict("d", 70.0, outcome="misses", causes=WRONG),
-        "e": _verdict("e", 90.0, outcome="open", replays=0, timed_on=""),
-        "f": _verdict("f", 60.0, outcome="borderline"),
+        "b": _verdict("b", 50.0, state="late", causes=LATE),
+        "c": _verdict("c", 20.0, settings="low", state="late", causes=LATE),
+        "d": _verdict("d", 70.0, state="fail", causes=WRONG),
+        "e": _verdict("e", 90.0, state="inconclusive", replays=0, timed_on=""),
+        "f": _verdict("f", 60.0, state="borderline"),
     }
     found = best_of_each(
         _verdicts(
-            _verdict("d", 10.0, outcome="meets", loops=0, doubts=(Finding("lost"),)),
+            _verdict("d", 10.0, state="pass", loops=0, doubts=(Finding("lost"),)),
             shown["d"],
-            _verdict("e", 95.0, settings="low", outcome="misses", causes=WRONG, loops=0),
+            _verdict("e", 95.0, settings="low", state="fail", causes=WRONG, loops=0),
             shown["e"],
             shown["b"],
-            _verdict("b", 10.0, settings="low", outcome="misses", causes=LATE),
-            _verdict("c", 10.0, outcome="misses", causes=WRONG),
-            _verdict("c", 25.0, settings="high", outcome="misses", causes=LATE),
+            _verdict("b", 10.0, settings="low", state="late", causes=LATE),
+            _verdict("c", 10.0, state="fail", causes=WRONG),
+            _verdict("c", 25.0, settings="high", state="late", causes=LATE),
             shown["c"],
             shown["f"],
             _verdict("a", 40.0),

@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, largest_stall_ns, speed_margins
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.solvers.calibration import COPY_ONLY
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _margin(records: Any) -> SpeedMargin:
-    (margin,) = speed_margins(records.view(), DEMAND).values()
+    (margin,) = speed_margins(records.view(), REQUIREMENTS).values()
     return margin
 
 
@@ -78,7 +78,7 @@ def test_a_window_has_the_p99_of_its_stretch(records: Any) -> None:
     assert (margin.p99.k, margin.p99.run.scenario) == (222, "turn")
 
 
-@pytest.mark.parametrize(("late", "state"), [(4, "meets"), (5, "late")])
+@pytest.mark.parametrize(("late", "state"), [(4, "pass"), (5, "late")])
 def test_more_late_steps_in_a_window_than_one_in_a_hundred_of_its_stretch(
     records: Any, late: int, state: str
 ) -> None:
@@ -86,7 +86,7 @@ def test_more_late_steps_in_a_window_than_one_in_a_hundred_of_its_stretch(
     records.loop("daqp", "turn")
     records.replay("daqp", median_us=20.0, spread=0.0)
     _window(records, 450, dict.fromkeys(range(late), 500.0))
-    (verdict,) = verdicts_of(records.view(), DEMAND).references
+    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
     assert verdict.state == state
     assert (verdict.replays, verdict.windows) == (1, 1)
 
@@ -127,7 +127,7 @@ def test_only_scaled_replays_with_steps_have_a_margin(records: Any) -> None:
     records.replay("scs", units="si")
     records.replay("daqp", median_us=20.0, spread=0.0)
     records.replay("daqp", median_us=30.0, spread=0.0, settings="high")
-    margins = speed_margins(records.view(), DEMAND)
+    margins = speed_margins(records.view(), REQUIREMENTS)
     limits = {(c.solver, c.settings): round(margin.p99_limit) for c, margin in margins.items()}
     assert limits == {("daqp", "default"): 150, ("daqp", "high"): 100}
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.steering import (
     Steering,
     is_about_thrusters,
@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.steering import (
     thruster_control_loops,
 )
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _cell(**scenario: Any) -> str:
@@ -46,14 +46,14 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
     """Each list has the solvers of its outcomes, in their order."""
     steering = Steering(
         ("paper",),
-        {"a": "meets", "b": "meets", "c": "misses", "d": "meets", "e": "open", "z": "meets"},
+        {"a": "pass", "b": "pass", "c": "fail", "d": "pass", "e": "inconclusive", "z": "pass"},
         {
-            "b": "misses",
-            "a": "meets",
-            "c": "meets",
+            "b": "late",
+            "a": "pass",
+            "c": "pass",
             "d": "borderline",
-            "e": "open",
-            "f": "misses",
+            "e": "inconclusive",
+            "f": "fail",
         },
         {},
     )
@@ -93,15 +93,15 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     _with_thrusters(records, "piqp", outcome="hung", done=0)
     _with_thrusters(records, "scs", error=0.5)
     records.refused("ecos", "it takes no start", cell=THRUSTERS)
-    found = steering_of(records.view(), DEMAND)
+    found = steering_of(records.view(), REQUIREMENTS)
     assert found.forces == ("paper",)
     assert found.with_forces == {
-        "daqp": "meets",
-        "piqp": "meets",
-        "scs": "misses",
-        "qoco": "open",
+        "daqp": "pass",
+        "piqp": "pass",
+        "scs": "fail",
+        "qoco": "inconclusive",
     }
-    assert found.with_thrusters == {"daqp": "meets", "piqp": "misses", "scs": "misses"}
+    assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
     assert (found.fine, found.only_with_forces) == (["daqp"], ["piqp"])
 
@@ -123,7 +123,7 @@ def test_the_fault_of_a_solver_is_that_of_all_its_configurations(
     """A configuration with both faults agrees with either; one that was refused has none."""
     records.loop("daqp", cell=THRUSTERS, **default)
     records.loop("daqp", cell=THRUSTERS, settings="high", **high)
-    assert steering_of(records.view(), DEMAND).faults == {"daqp": fault}
+    assert steering_of(records.view(), REQUIREMENTS).faults == {"daqp": fault}
 
 
 def _powered(records: Any, solver: str, scenario: str = "turn", **columns: Any) -> None:
@@ -144,7 +144,7 @@ def test_the_best_loop_is_right_ran_farthest_and_is_nearest_to_the_reference(
     _powered(records, "unpowered", steps=300, power_share=math.nan, dev_position_max_m=0.0)
     _powered(records, "law", steps=300, formulation="none", dev_position_max_m=0.0)
     _powered(records, "lone", "calm", error=0.5)
-    found = thruster_control_loops(records.view(), DEMAND)
+    found = thruster_control_loops(records.view(), REQUIREMENTS)
     assert {name: run.solver for name, run in found.best.items()} == {"turn": "near"}
     names = ["wrong", "short", "far", "near", "stopped"]
     assert list(found.configurations) == [f"{name} (qpsolvers fresh)" for name in names]
@@ -156,7 +156,7 @@ def test_loops_are_grouped_by_configuration(records: Any) -> None:
     for scenario in ("turn", "calm"):
         _powered(records, "daqp", scenario)
         _powered(records, "daqp", scenario, settings="high")
-    found = thruster_control_loops(records.view(), DEMAND)
+    found = thruster_control_loops(records.view(), REQUIREMENTS)
     assert list(found.best) == ["calm", "turn"]
     assert {
         label: [run.scenario for run in runs] for label, runs in found.configurations.items()

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.lateness import LateTimings
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import (
     find_hidden_work,
     find_slow_loops,
@@ -22,7 +22,7 @@ from dpbench.analysis.verdict.time_findings import (
 )
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 
-DEMAND = Demand(p99_ms=1.0, deadline_ms=8.0)
+REQUIREMENTS = Requirements(p99_ms=1.0, deadline_ms=8.0)
 """Limits of 1e6 and 8e6 ns."""
 FACTOR = 2.0
 """The times are uncertain by a factor of two: products and quotients of it are exact."""
@@ -58,7 +58,7 @@ def test_the_median_of_a_loop_beside_the_limit(
 ) -> None:
     """From 200 steps on a median beyond twice the limit is late, from half of it borderline."""
     records.loop("daqp", steps=steps, raw_p50_ns=p50_ns)
-    found = find_slow_loops(records.view().runs, DEMAND, UNCERTAINTY)
+    found = find_slow_loops(records.view().runs, REQUIREMENTS, UNCERTAINTY)
     assert _found(found) == ([(kind, ["daqp"], p50_ns)] if kind else [])
 
 
@@ -69,7 +69,7 @@ def test_only_loops_of_the_measured_computer_are_slow(records: Any) -> None:
     records.loop("piqp", slowdown=0.0, steps=200, raw_p50_ns=3e6)
     records.loop("scs", steps=200, raw_p50_ns=4e6)
     records.loop("osqp", steps=60, raw_p50_ns=2e6)
-    found = find_slow_loops(records.view().all_runs, DEMAND, UNCERTAINTY)
+    found = find_slow_loops(records.view().all_runs, REQUIREMENTS, UNCERTAINTY)
     assert _found(found) == [
         ("slow loop", ["scs", "piqp"], 4e6),
         ("short slow loop", ["osqp"], 2e6),
@@ -118,7 +118,7 @@ def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
 
 def _judged(records: Any) -> tuple[list[Finding], dict[str, Any]]:
     view = records.view()
-    return judge_times(view, view.runs, DEMAND, UNCERTAINTY)
+    return judge_times(view, view.runs, REQUIREMENTS, UNCERTAINTY)
 
 
 def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:

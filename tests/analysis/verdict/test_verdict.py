@@ -8,18 +8,19 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.pairs import paired_comparison
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import choose_solver, deployment_blocker, fastest_first
+from dpbench.analysis.verdict.findings import MISSED
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import clauses, counted, demand_text, paired_text
+from dpbench.report.verdict_text import clauses, counted, paired_text, requirements_text
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
-    own = verdicts_of(records.view(), DEMAND).of[solver]
+    own = verdicts_of(records.view(), REQUIREMENTS).of[solver]
     wanted = replace(own[0].configuration, settings=settings)
     return next(verdict for verdict in own if verdict.configuration == wanted)
 
@@ -30,11 +31,11 @@ def _why(verdict: Any) -> str:
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
-    """A solver that is right on every step and fast enough meets the demand."""
+    """A solver that is right on every step and fast enough passes."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "meets"
+    assert verdict.state == "pass"
     assert verdict.steps == 120 + 1000
     assert Recommendation.why(verdict) == ""
     assert not verdict.causes and not verdict.missing
@@ -55,35 +56,35 @@ CAUSES = [
 def test_each_cause_has_its_sentence(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], clause: str
 ) -> None:
-    """Whatever contradicts the demand makes a solver miss it, and the sentence says what."""
+    """Whatever contradicts the requirements makes a solver fail, and the sentence says what."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "misses"
+    assert verdict.state in MISSED
     assert clause in _why(verdict)
 
 
 @pytest.mark.parametrize(
     ("loop", "replay", "state"),
     [
-        ({}, {}, "meets"),
+        ({}, {}, "pass"),
         ({}, {"median_us": 4000.0}, "late"),
         ({"outcome": "hung", "done": 0}, {}, "late"),
-        ({"error": 0.4}, {"median_us": 4000.0}, "wrong"),
-        ({"outcome": "crashed", "done": 0}, {}, "wrong"),
-        ({"failed": 3}, {}, "wrong"),
-        ({"outcome": "timed_out", "done": 40}, {}, "open"),
+        ({"error": 0.4}, {"median_us": 4000.0}, "fail"),
+        ({"outcome": "crashed", "done": 0}, {}, "fail"),
+        ({"failed": 3}, {}, "fail"),
+        ({"outcome": "timed_out", "done": 40}, {}, "inconclusive"),
     ],
 )
 def test_a_miss_is_late_or_wrong(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], state: str
 ) -> None:
-    """Late where time alone contradicts the demand; with an answer that does it is wrong."""
+    """Late where time alone contradicts the requirements; with an answer that does it is wrong."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
-    assert (verdict.outcome == "misses") == (state in ("late", "wrong"))
+    assert (verdict.state in MISSED) == (state in ("late", "fail"))
 
 
 DOUBTS = [
@@ -104,7 +105,7 @@ def test_what_was_not_measured_leaves_it_open(
     records.loop("daqp", **loop)
     records.replay("daqp")
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert clause in _why(verdict)
 
 
@@ -112,7 +113,7 @@ def test_a_replay_cut_after_a_whole_round_still_counts(records: Any) -> None:
     """Once every step has been replayed, rounds that are missing leave nothing open."""
     records.loop("daqp")
     records.replay("daqp", rounds=1, stopped=True)
-    assert _verdict(records, "daqp").outcome == "meets"
+    assert _verdict(records, "daqp").state == "pass"
 
 
 @pytest.mark.parametrize(
@@ -123,7 +124,7 @@ def test_a_replay_cut_after_a_whole_round_still_counts(records: Any) -> None:
     ],
 )
 @pytest.mark.parametrize("mode", ["closed_loop", "replay"])
-def test_who_crashes_or_hangs_misses_with_the_cause(
+def test_who_crashes_or_hangs_fails_with_the_cause(
     records: Any, outcome: str, clause: str, mode: str
 ) -> None:
     """A process that the solver ended, or a call that never returned, is the solver's own doing."""
@@ -131,13 +132,13 @@ def test_who_crashes_or_hangs_misses_with_the_cause(
     records.loop("daqp", **(ended if mode == "closed_loop" else {}))
     records.replay("daqp", **(ended if mode == "replay" else {}))
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "misses"
-    place = "`paper`" if mode == "closed_loop" else "the replay of `paper`"
-    assert clause.replace("`paper`", place) in _why(verdict)
+    assert verdict.state in MISSED
+    experiment = "`paper`" if mode == "closed_loop" else "the replay of `paper`"
+    assert clause.replace("`paper`", experiment) in _why(verdict)
 
 
-def test_crashes_in_several_places_are_one_clause(records: Any) -> None:
-    """The first is told with its cause, the others by their place."""
+def test_crashes_in_several_experiments_are_one_clause(records: Any) -> None:
+    """The first is told with its cause, the others by their experiment."""
     for scenario in ("paper", "calm", "rough"):
         records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
     records.replay("daqp")
@@ -150,19 +151,19 @@ def test_without_replay_time_is_not_judged(records: Any) -> None:
     """Without a replay nobody is said to be fast enough."""
     records.loop("daqp")
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert "its time is not judged" in _why(verdict)
     assert math.isnan(verdict.p99_ns)
 
 
 def test_too_few_steps_for_a_p99(records: Any) -> None:
-    """With few steps the slowest one decides, and it cannot decide when it is over the demand."""
+    """With few steps the slowest decides, and it cannot when it is over the requirements."""
     for solver, median in (("fast", 20.0), ("near", 1500.0)):
         records.loop(solver)
         records.replay(solver, steps=300, median_us=median, spread=0.38)
-    assert _verdict(records, "fast").outcome == "meets"
+    assert _verdict(records, "fast").state == "pass"
     near = _verdict(records, "near")
-    assert near.outcome == "open"
+    assert near.state == "inconclusive"
     assert "do not support a p99" in _why(near)
 
 
@@ -170,18 +171,18 @@ def test_a_refused_solver_was_not_run(records: Any) -> None:
     """A solver that is not installed is neither good nor bad, and its reason is told."""
     records.refused("qpax", "qpax is not installed: install the extra jax")
     verdict = _verdict(records, "qpax")
-    assert verdict.outcome == "not run"
+    assert verdict.state == "not run"
     assert "install the extra jax" in _why(verdict)
 
 
-def test_the_demand_is_read_from_the_suite(records: Any) -> None:
-    """Whoever demands less sees more solvers meet it."""
+def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
+    """Whoever requires less sees more solvers pass."""
     records.loop("osqp", error=0.05)
     records.replay("osqp")
-    looser = Demand.of({"demand": {"error_move": 0.1, "unknown": 1}})
-    assert verdicts_of(records.view(), looser).references[0].outcome == "meets"
-    assert _verdict(records, "osqp").outcome == "misses"
-    assert "within 0.1 of a rate-limit step" in demand_text(looser)
+    looser = Requirements.of({"requirements": {"error_move": 0.1, "unknown": 1}})
+    assert verdicts_of(records.view(), looser).references[0].state == "pass"
+    assert _verdict(records, "osqp").state == "fail"
+    assert "within 0.1 of a rate-limit step" in requirements_text(looser)
 
 
 def test_one_slow_step_of_a_loop_says_nothing(records: Any) -> None:
@@ -190,7 +191,7 @@ def test_one_slow_step_of_a_loop_says_nothing(records: Any) -> None:
     records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=2.1e6)
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "meets" and verdict.p99_ns < 1e5
+    assert verdict.state == "pass" and verdict.p99_ns < 1e5
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
@@ -200,14 +201,14 @@ def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) 
     records.loop("daqp", "rough", steps=200, raw_p50_ns=4.1e6)
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
-    assert (verdict.outcome, verdict.state) == ("misses", "late")
+    assert verdict.state == "late"
     assert _why(verdict) == (
         "the median of its timings is 5.74 ms in `paper`, a closed loop (also in `rough`)"
     )
     records.loop("osqp", steps=200, raw_p50_ns=5.74e6, slowdown=100.0)
     records.loop("osqp", "rough")
     records.replay("osqp", "rough")
-    assert _verdict(records, "osqp").outcome == "meets"
+    assert _verdict(records, "osqp").state == "pass"
 
 
 def test_a_loop_of_fewer_timings_leaves_it_open(records: Any) -> None:
@@ -215,13 +216,13 @@ def test_a_loop_of_fewer_timings_leaves_it_open(records: Any) -> None:
     records.loop("daqp", steps=199, raw_p50_ns=5.74e6)
     records.replay("daqp", median_us=20.0)
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert "the median of its few timings is 5.74 ms" in _why(verdict)
 
 
 @pytest.mark.parametrize(
     ("median_ms", "state"),
-    [(2.0, "meets"), (2.7, "borderline"), (3.1, "borderline"), (3.3, "borderline"), (3.7, "late")],
+    [(2.0, "pass"), (2.7, "borderline"), (3.1, "borderline"), (3.3, "borderline"), (3.7, "late")],
 )
 def test_a_loop_within_the_spread_of_rounds_of_its_limit_is_borderline(
     records: Any, median_ms: float, state: str
@@ -232,12 +233,11 @@ def test_a_loop_within_the_spread_of_rounds_of_its_limit_is_borderline(
     records.replay("daqp", median_us=20.0, spread=0.0)
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
-    assert (verdict.outcome == "misses") == (state == "late")
 
 
 @pytest.mark.parametrize(
     ("median_us", "state"),
-    [(2500.0, "meets"), (2900.0, "borderline"), (3300.0, "borderline"), (3600.0, "late")],
+    [(2500.0, "pass"), (2900.0, "borderline"), (3300.0, "borderline"), (3600.0, "late")],
 )
 def test_a_p99_within_the_spread_of_rounds_of_its_limit_is_borderline(
     records: Any, median_us: float, state: str
@@ -267,8 +267,8 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
     for solver, median_us in (("daqp", 20.0), ("osqp", 2900.0)):
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
-    verdicts = verdicts_of(records.view(), DEMAND)
-    assert counted(verdicts) == "1 of 2 meet the demand; borderline: osqp"
+    verdicts = verdicts_of(records.view(), REQUIREMENTS)
+    assert counted(verdicts) == "1 of 2 pass; borderline: osqp"
 
 
 def test_high_settings_rescue(records: Any) -> None:
@@ -277,15 +277,13 @@ def test_high_settings_rescue(records: Any) -> None:
     records.loop("osqp", settings="high")
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
-    verdicts = verdicts_of(records.view(), DEMAND)
-    assert [v.outcome for v in verdicts.all] == ["misses", "meets"]
-    assert (
-        counted(verdicts) == "0 of 1 meet the demand; only otherwise: osqp (qpsolvers fresh, high)"
-    )
+    verdicts = verdicts_of(records.view(), REQUIREMENTS)
+    assert [v.state for v in verdicts.all] == ["fail", "pass"]
+    assert counted(verdicts) == "0 of 1 pass; only otherwise: osqp (qpsolvers fresh, high)"
 
 
 def _high(records: Any, **columns: Any) -> Any:
-    """A solver that misses the demand in `calm` by default; its verdict with settings high."""
+    """A solver that fails in `calm` by default; its verdict with settings high."""
     for scenario in ("paper", "calm"):
         records.loop("osqp", scenario, error=0.4)
     records.replay("osqp", error=0.4)
@@ -312,14 +310,14 @@ def test_a_level_meets_only_where_it_was_run(
 ) -> None:
     """Settings that were not run, or not whole, where the default was judged are open there."""
     verdict = _high(records, **columns)
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert clause in _why(verdict)
-    assert counted(verdicts_of(records.view(), DEMAND)) == "open: osqp"
+    assert counted(verdicts_of(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
 
 
 def test_a_level_that_ran_everywhere_meets(records: Any) -> None:
-    """The same level with the missing loop beside it meets the demand."""
-    assert _high(records, steps=120).outcome == "meets"
+    """The same level with the missing loop beside it passes."""
+    assert _high(records, steps=120).state == "pass"
 
 
 def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
@@ -327,8 +325,8 @@ def test_a_way_meets_only_where_it_was_run(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    reference, warm = verdicts_of(records.view(), DEMAND).of["daqp"]
-    assert (reference.outcome, warm.outcome) == ("meets", "open")
+    reference, warm = verdicts_of(records.view(), REQUIREMENTS).of["daqp"]
+    assert (reference.state, warm.state) == ("pass", "inconclusive")
     assert clauses(warm.gaps) == "not run in `paper`"
 
 
@@ -344,15 +342,15 @@ def test_loops_under_any_policy_and_route_count_as_run(
     records.replay("daqp", route=route, policy=policy)
     records.loop("osqp", route=route, policy=policy, error=0.5)
     records.replay("osqp", route=route, policy=policy)
-    said = counted(verdicts_of(records.view(), DEMAND))
-    assert said == "1 of 2 meet the demand; miss it: osqp"
+    said = counted(verdicts_of(records.view(), REQUIREMENTS))
+    assert said == "1 of 2 pass; fail: osqp"
 
 
 def test_loops_alone_under_a_policy_count_as_run(records: Any) -> None:
     """Loops that finished were run, whatever is missing beside them."""
     records.loop("daqp", route="native", policy="reuse")
-    (verdict,) = verdicts_of(records.view(), DEMAND).references
-    assert (verdict.outcome, verdict.loops) == ("open", 1)
+    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
+    assert (verdict.state, verdict.loops) == ("inconclusive", 1)
     assert clauses(verdict.missing) == "no replay was run, so its time is not judged"
 
 
@@ -360,7 +358,7 @@ def test_the_largest_timing_is_no_algorithmic_time(records: Any) -> None:
     """Round 1 is the minimum of every step, 20 µs; the largest timing is a slower round's."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0, spread=0.0)
-    (verdict,) = verdicts_of(records.view(), DEMAND).references
+    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
     samples = records.results().steps.query("not warmup")["total_ns"]
     samples = samples[records.results().steps["run_id"] == "run0001"]
     assert verdict.raw_max_ns == samples.max() > verdict.algo_max_ns
@@ -373,7 +371,7 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median)
     view = records.view()
-    found = choose_solver(verdicts_of(view, DEMAND))
+    found = choose_solver(verdicts_of(view, REQUIREMENTS))
     assert found.chosen is not None and found.runner_up is not None and found.faster is not None
     names = (
         found.chosen.configuration.solver,
@@ -393,11 +391,11 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
 
 
 def test_nobody_to_go_aboard_is_said(records: Any) -> None:
-    """Where only the benchmark's own code meets the demand, nothing is recommended."""
+    """Where only the benchmark's own code passes, nothing is recommended."""
     records.loop("hildreth", route="native")
     records.replay("hildreth", route="native")
     text = Report.of(records.results()).recommendation.sentence
-    assert text.startswith("Nothing that can go aboard meets the demand; hildreth (native fresh)")
+    assert text.startswith("Nothing that can go aboard passes; hildreth (native fresh)")
 
 
 def test_who_may_go_aboard_is_a_fact_of_its_record() -> None:
@@ -420,8 +418,8 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.replay("osqp")
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
-    said = counted(verdicts_of(records.view(), DEMAND))
-    assert said == "1 of 3 meet the demand; miss it: osqp; open: scs; not run: qpax"
+    said = counted(verdicts_of(records.view(), REQUIREMENTS))
+    assert said == "1 of 3 pass; fail: osqp; inconclusive: scs; not run: qpax"
 
 
 def test_order_is_by_p99(records: Any) -> None:
@@ -429,7 +427,7 @@ def test_order_is_by_p99(records: Any) -> None:
     for solver, median in (("slow", 90.0), ("fast", 20.0), ("middle", 40.0)):
         records.loop(solver)
         records.replay(solver, median_us=median)
-    ranked = fastest_first(verdicts_of(records.view(), DEMAND).references)
+    ranked = fastest_first(verdicts_of(records.view(), REQUIREMENTS).references)
     assert [v.configuration.solver for v in ranked] == ["fast", "middle", "slow"]
 
 
@@ -438,7 +436,7 @@ def _duel(records: Any, median_us: float) -> Any:
         records.loop(solver)
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
-    ranked = fastest_first(verdicts_of(view, DEMAND).references)
+    ranked = fastest_first(verdicts_of(view, REQUIREMENTS).references)
     return paired_comparison(view, ranked[0], ranked[1])
 
 
@@ -469,7 +467,7 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
         records.loop(solver, steps=40)
         records.replay(solver, steps=40, median_us=median, spread=0.0)
     view = records.view()
-    found = paired_comparison(view, *fastest_first(verdicts_of(view, DEMAND).references))
+    found = paired_comparison(view, *fastest_first(verdicts_of(view, REQUIREMENTS).references))
     said = paired_text(found)
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
@@ -482,7 +480,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.loop("nervous")
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
-    ranked = fastest_first(verdicts_of(view, DEMAND).references)
+    ranked = fastest_first(verdicts_of(view, REQUIREMENTS).references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
     text = paired_text(paired_comparison(view, *ranked))
     assert "depends on the yardstick" in text
@@ -492,7 +490,7 @@ def test_the_baseline_law_is_never_ranked(records: Any) -> None:
     """The clipped unconstrained law is no solver: it has a line of its own and no verdict."""
     records.loop("daqp")
     records.loop("unconstrained_clipped", steps=1000, formulation="none", tail_m=9.0, error=1.0)
-    verdicts = verdicts_of(records.view(), DEMAND)
+    verdicts = verdicts_of(records.view(), REQUIREMENTS)
     assert list(verdicts.of) == ["daqp"]
     assert all(verdict.configuration.solver == "daqp" for verdict in verdicts.all)
 
@@ -507,35 +505,35 @@ def test_terminal_lines_carry_no_markup(records: Any) -> None:
 
 
 def test_without_replays_nothing_is_denied(records: Any) -> None:
-    """Where no replay was run, it is open whether a solver meets the demand, and said to be so."""
+    """Where no replay was run, the verdict is inconclusive, and said to be so."""
     for solver in ("daqp", "quadprog"):
         records.loop(solver)
-    assert counted(verdicts_of(records.view(), DEMAND)) == "open: daqp, quadprog"
-    outcomes = {verdict.outcome for verdict in verdicts_of(records.view(), DEMAND).all}
-    assert outcomes == {"open"}
+    assert counted(verdicts_of(records.view(), REQUIREMENTS)) == "inconclusive: daqp, quadprog"
+    outcomes = {verdict.state for verdict in verdicts_of(records.view(), REQUIREMENTS).all}
+    assert outcomes == {"inconclusive"}
 
 
-def test_open_outcomes_are_not_counted_as_misses(records: Any) -> None:
-    """One miss and one open outcome leave it open whether a solver meets the demand."""
+def test_inconclusive_verdicts_are_not_counted_as_failures(records: Any) -> None:
+    """One failure and one inconclusive verdict decide nothing for the others."""
     records.loop("daqp", outcome="timed_out", done=10)
     records.replay("daqp")
     records.loop("osqp", error=0.4)
     records.replay("osqp")
     said = records.ending()
-    assert said["solvers"] == "miss it: osqp; open: daqp."
-    assert said["answer"].startswith("Nothing is recommended while it is open whether a solver")
+    assert said["solvers"] == "fail: osqp; inconclusive: daqp."
+    assert said["answer"].startswith("Nothing is recommended while the verdict on a solver")
 
 
 def test_a_miss_by_all_is_a_miss(records: Any) -> None:
-    """When every solver that ran misses the demand, it is said that none meets it."""
+    """When every solver that ran fails, it is said that none passes."""
     records.loop("osqp", error=0.4)
     records.replay("osqp")
     said = records.ending()
-    assert said["solvers"] == "0 of 1 meet the demand; miss it: osqp."
-    assert "no solver meets the demand in any configuration" in said["answer"]
+    assert said["solvers"] == "0 of 1 pass; fail: osqp."
+    assert "no solver passes in any configuration" in said["answer"]
 
 
-@pytest.mark.parametrize(("thread_s", "outcome"), [(0.9, "meets"), (1.3, "open")])
+@pytest.mark.parametrize(("thread_s", "outcome"), [(0.9, "pass"), (1.3, "inconclusive")])
 @pytest.mark.parametrize("mode", ["closed_loop", "replay"])
 def test_work_outside_the_timed_calls_leaves_it_open(
     records: Any, thread_s: float, outcome: str, mode: str
@@ -545,5 +543,7 @@ def test_work_outside_the_timed_calls_leaves_it_open(
     records.loop("daqp", **(took if mode == "closed_loop" else {}))
     records.replay("daqp", **(took if mode == "replay" else {}))
     verdict = _verdict(records, "daqp")
-    assert verdict.outcome == outcome
-    assert ("work 1.3 times as long as all timed calls" in _why(verdict)) == (outcome == "open")
+    assert verdict.state == outcome
+    assert ("work 1.3 times as long as all timed calls" in _why(verdict)) == (
+        outcome == "inconclusive"
+    )

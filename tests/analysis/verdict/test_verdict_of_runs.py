@@ -7,15 +7,15 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _all(records: Any, solver: str = "daqp") -> list[Verdict]:
-    return list(verdicts_of(records.view(), DEMAND).of[solver])
+    return list(verdicts_of(records.view(), REQUIREMENTS).of[solver])
 
 
 def _only(records: Any) -> Verdict:
@@ -41,7 +41,7 @@ def test_a_configuration_that_was_not_run_has_no_figures(records: Any) -> None:
     records.refused("daqp", "no model.")
     records.refused("daqp", "no wrapper", "replay")
     verdict = _only(records)
-    assert (verdict.outcome, verdict.state, verdict.refusal) == ("not run", "not run", "no model")
+    assert (verdict.state, verdict.refusal) == ("not run", "no model")
     counts = verdict.loops, verdict.replays, verdict.windows, verdict.steps, verdict.failed_steps
     assert counts == (0, 0, 0, 0, 0)
     assert math.isnan(verdict.error_move) and verdict.timed_on == ""
@@ -92,13 +92,13 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
     records.loop("unconstrained_clipped", formulation="none")
     records.loop("scs")
     view = records.view()
-    assert list(verdicts_of(view, DEMAND).of) == ["daqp", "scs"]
+    assert list(verdicts_of(view, REQUIREMENTS).of) == ["daqp", "scs"]
     assert not _only(records).causes
-    assert list(verdicts_of(view, DEMAND, view.runs[-1:]).of) == ["scs"]
+    assert list(verdicts_of(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
 
 
 @pytest.mark.parametrize(("first", "second", "error"), [(60, 120, 2), (120, 60, 1), (60, 60, 1)])
-def test_the_longest_run_in_a_place_is_judged(
+def test_the_longest_run_in_a_experiment_is_judged(
     records: Any, first: int, second: int, error: float
 ) -> None:
     """Of two equally long runs the first is judged."""
@@ -172,7 +172,7 @@ def test_gaps_of_a_configuration(records: Any) -> None:
         ("refused", ["calm"], -1.0, 0),
         ("short", ["rough"], -1.0, 120),
     ]
-    assert high.outcome == "open" and not high.ranks
+    assert high.state == "inconclusive" and not high.ranks
 
 
 def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
@@ -191,7 +191,7 @@ def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
         ("crashed", ["wrap"], -1.0, 0),
         ("hung", ["turn", "move"], -1.0, 0),
     ]
-    assert (verdict.outcome, verdict.state, verdict.doubts) == ("misses", "wrong", ())
+    assert (verdict.state, verdict.doubts) == ("fail", ())
 
 
 def test_unfinished_runs_are_doubts(records: Any) -> None:
@@ -223,5 +223,5 @@ def test_kinds_of_runs_that_are_missing(records: Any) -> None:
     (timed,), (steered,) = _all(records), _all(records, "scs")
     assert [finding.kind for finding in timed.missing] == ["no closed loop"]
     assert [finding.kind for finding in steered.missing] == ["no replay"]
-    assert (timed.outcome, timed.ranks) == ("open", True)
-    assert (steered.outcome, steered.ranks) == ("open", False)
+    assert (timed.state, timed.ranks) == ("inconclusive", True)
+    assert (steered.state, steered.ranks) == ("inconclusive", False)

@@ -46,7 +46,7 @@ def test_the_standard_suite_has_no_cell_twice() -> None:
 def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
     """Each level, and one kept way of each solver that has any, is run wherever its default is.
 
-    A level or way that was not run somewhere, or not as far, could not be said to meet the demand.
+    A level or way that was not run somewhere, or not as far, could not be said to pass.
     """
     _, suite = load_suite("standard")
     places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}

@@ -101,7 +101,7 @@ def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     page = opened(CHOSEN, size=(width, 844))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     named = "new Option('a long name '.repeat(20))"
-    page.evaluate(f"document.querySelector('#choose-place').add({named})")
+    page.evaluate(f"document.querySelector('#choose-experiment').add({named})")
     assert page.evaluate("document.documentElement.scrollWidth") <= width, "by a name in a menu"
     boxes = page.evaluate(
         """() => [...document.querySelectorAll("body *")].filter((node) => {
@@ -114,9 +114,9 @@ def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
 
 
 @pytest.mark.slow
-def test_sections_and_places_stay_on_a_phone(opened: Any) -> None:
+def test_sections_and_experiments_stay_on_a_phone(opened: Any) -> None:
     """From the end of the page every section is a touch away, none cut off; each part of the matrix
-    has the names of its places, and what is to be typed can be copied on the first screen."""
+    has the names of its experiments, and what is to be typed can be copied on the first screen."""
     page = opened(CHOSEN, size=PHONE)
     commands = page.locator(".commands button").first.bounding_box()
     assert commands["y"] + commands["height"] < PHONE[1]
@@ -169,12 +169,14 @@ def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) ->
 
 
 @pytest.mark.slow
-def test_many_places_at_many_levels_stand_below_each_other(chromium: Any, tmp_path: Path) -> None:
+def test_many_experiments_at_many_levels_stand_below_each_other(
+    chromium: Any, tmp_path: Path
+) -> None:
     """Of few solvers the tiles of all levels are too many for a row: no two names overlap, and the
     arrow keys go as the eye does."""
     records = MadeRecords()
-    places = [f"paper_of_some_length_{i}" for i in range(20)]
-    for name in places:
+    experiments = [f"paper_of_some_length_{i}" for i in range(20)]
+    for name in experiments:
         records._scenarios[name] = records.scenario("paper")
         for level in ("default", "low", "mid", "high"):
             records.loop("daqp", name, steps=10, settings=level)
@@ -183,10 +185,13 @@ def test_many_places_at_many_levels_stand_below_each_other(chromium: Any, tmp_pa
         page = opened()
         assert _overlapping(page.evaluate(TEXTS, ["matrix"])) == []
         page.focus("#figure-matrix")
-        chosen = page.evaluate("[C().solver[state.c], facts.places[state.p].label]")
+        chosen = page.evaluate("[C().solver[state.c], facts.experiments[state.p].label]")
         page.keyboard.press("ArrowDown")
-        below = page.evaluate("[C().solver[state.c], facts.places[state.p].label]")
-        assert below[0] == chosen[0] and places.index(below[1]) == places.index(chosen[1]) + 1
+        below = page.evaluate("[C().solver[state.c], facts.experiments[state.p].label]")
+        assert (
+            below[0] == chosen[0]
+            and experiments.index(below[1]) == experiments.index(chosen[1]) + 1
+        )
 
 
 @pytest.mark.slow
@@ -223,16 +228,16 @@ def test_a_point_that_is_open_is_not_filled_like_one_that_meets(opened: Any) -> 
     """Three looks, as the legend of the figure and its caption say."""
     page = opened()
     dots = page.locator(
-        "#figure-accuracy .mark-symbol path[aria-label*='demand: '][fill-opacity]"
+        "#figure-accuracy .mark-symbol path[aria-label*='verdict: '][fill-opacity]"
     ).all()
     opacity: dict[str, set[str]] = {}
     for dot in dots:
-        state = str(dot.get_attribute("aria-label")).split("demand: ")[1].split(";")[0]
+        state = str(dot.get_attribute("aria-label")).split("verdict: ")[1].split(";")[0]
         opacity.setdefault(state, set()).add(str(dot.get_attribute("fill-opacity")))
-    assert opacity["meets"] == {"0.95"} and opacity["wrong"] == {"0"}
-    assert opacity["open"] == {"0.3"}
+    assert opacity["pass"] == {"0.95"} and opacity["fail"] == {"0"}
+    assert opacity["inconclusive"] == {"0.3"}
     legend = page.locator("#figure-accuracy .role-legend-label").all_text_contents()
-    assert {"meets", "open", "misses"} <= {*legend}
+    assert {"pass", "inconclusive", "late or fail"} <= {*legend}
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -90,7 +90,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     settled(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
-        r"clarabel \(.*\): (meets|late|wrong|open), p50 .*, p99 .*, hardest step .*, "
+        r"clarabel \(.*\): (pass|late|fail|inconclusive), p50 .*, p99 .*, hardest step .*, "
         r"largest timing .*; shown in ",
         page.inner_text("#chosen"),
     )
@@ -101,11 +101,11 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
+def test_a_tile_of_the_matrix_chooses_the_experiment_too(opened: Any) -> None:
     """Solver, settings and scenario."""
     page = opened()
     wanted = page.locator(
-        "#figure-matrix path[aria-label*='solver: highs'][aria-label*='place: calm']"
+        "#figure-matrix path[aria-label*='solver: highs'][aria-label*='experiment: calm']"
     )
     wanted.first.scroll_into_view_if_needed()
     box = wanted.first.bounding_box()
@@ -113,7 +113,7 @@ def test_a_tile_of_the_matrix_chooses_the_place_too(opened: Any) -> None:
     page.wait_for_function("location.hash.includes('s=highs')")
     settled(page)
     assert selection(page)["sc"] == "calm"
-    assert page.inner_text("#one-said").startswith(("Holds in calm", "Wrong in calm"))
+    assert page.inner_text("#one-said").startswith(("Passes in calm", "Fails in calm"))
     assert rows_in(page, "strips", "steps") >= 100
     assert rows_in(page, "strips", "forces") >= 100
 
@@ -145,7 +145,7 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
 def test_a_hard_step_opens(opened: Any) -> None:
     """Its numbers, the command that writes it, and the query of its row."""
     page = opened()
-    page.select_option("#choose-place", label="paper (replay)")
+    page.select_option("#choose-experiment", label="paper (replay)")
     settled(page)
     button = (
         page.locator("#hard p", has_not_text=re.compile("all |windows")).locator("button").first
@@ -167,7 +167,7 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert "steps" in drawn and "forces" not in drawn
     assert rows_in(page, "strips", "steps") >= 100
     wide = page.locator("#figure-strips canvas").bounding_box()["width"]
-    page.select_option("#choose-place", label="paper")
+    page.select_option("#choose-experiment", label="paper")
     settled(page)
     assert rows_in(page, "strips", "forces") >= 100
     assert page.locator("#figure-strips canvas").bounding_box()["width"] < wide
@@ -207,7 +207,7 @@ def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_hardest_steps_begin_with_those_of_all_places(opened: Any) -> None:
+def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> None:
     """The slowest of all replays first; a click goes there. Single timings have a row of their own
     behind them, called so."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
@@ -215,18 +215,20 @@ def test_the_hardest_steps_begin_with_those_of_all_places(opened: Any) -> None:
     assert heads[0] == "slowest steps, fastest round of replays and windows"
     assert "largest single timings of all closed loops, stalls included" in heads[1:]
     assert heads[-1] == "largest single timings, stalls included"
-    runs = page.evaluate("facts.places.map((_, p) => cell(state.c, p)).filter((run) => run?.hard)")
-    places = page.evaluate("facts.places.map(({ trial, mode }) => ({ trial, mode }))")
+    runs = page.evaluate(
+        "facts.experiments.map((_, p) => cell(state.c, p)).filter((run) => run?.hard)"
+    )
+    experiments = page.evaluate("facts.experiments.map(({ trial, mode }) => ({ trial, mode }))")
     for mode in ("closed_loop", "replay"):
         worst = page.evaluate(f"worstAnywhere(0, '{mode}')")
         assert worst == sorted(worst, key=lambda step: -step["value"])
         wanted = {"trial": False, "mode": mode}
-        judged = [run["hard"][0][0][1] for run in runs if places[run["p"]] == wanted]
+        judged = [run["hard"][0][0][1] for run in runs if experiments[run["p"]] == wanted]
         assert worst[0]["value"] == max(judged)
     page.locator("#hard button").first.click()
-    place = page.evaluate(f"facts.places[{worst[0]['p']}].label")
+    experiment = page.evaluate(f"facts.experiments[{worst[0]['p']}].label")
     page.wait_for_function(f"state.p === {worst[0]['p']} && state.k === {worst[0]['k']}")
-    assert selection(page)["sc"] == place
+    assert selection(page)["sc"] == experiment
 
 
 @pytest.mark.slow
@@ -247,7 +249,7 @@ def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> None:
-    """Both ways of sorting; the next page goes on where one ends."""
+    """Both modes of sorting; the next page goes on where one ends."""
     page = opened()
     page.select_option("#table-of", "all")
     first = page.locator("#table-body tr").all_inner_texts()
@@ -295,7 +297,7 @@ def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) ->
 
 @pytest.mark.slow
 def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: Path) -> None:
-    """Whatever place is chosen; its lines give the p99 that the page names."""
+    """Whatever experiment is chosen; its lines give the p99 that the page names."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
     said = page.inner_text("#data-query")
     run = re.search(r'"run_id", "==", "(\w+)"', said)
@@ -326,7 +328,7 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
 def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
     chromium: Any, tmp_path: Path
 ) -> None:
-    """Of replays alone nobody meets the demand: not "0 of the 0" who do."""
+    """Of replays alone nobody passes: not "0 of the 0" who do."""
     records = MadeRecords()
     for solver in ("daqp", "osqp"):
         records.replay(solver, steps=200)
@@ -336,7 +338,7 @@ def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
 
 
 @pytest.mark.slow
-def test_the_demand_is_that_of_the_slower_computer(opened: Any) -> None:
+def test_the_verdict_is_that_of_the_slower_computer(opened: Any) -> None:
     """A typed slow-down: the speed margin decides in words and colours; a tooltip has no number of
     this machine among those of another."""
     page = opened()
@@ -345,18 +347,18 @@ def test_the_demand_is_that_of_the_slower_computer(opened: Any) -> None:
     settled(page)
     assert selection(page)["slow"] == "100"
     rows = page.evaluate("rowsDrawn('ladder').values")
-    right = [row for row in rows if row["state"] == "meets"]
+    right = [row for row in rows if row["state"] == "pass"]
     meet = [row for row in right if row["margin"] >= 100]
     assert 0 < len(meet) < len(right) < len(rows)
     said = page.inner_text("#slow-kept")
-    assert f" {len(meet)} of the {len(right)} that meet the demand here keep the deadline" in said
+    assert f" {len(meet)} of the {len(right)} that pass here keep the deadline" in said
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
         "(all) => unique(all.map((one) => one.getAttribute('aria-label')))"
     )
     met = {
         label.split("configuration: ")[1].split(" (")[0]
         for label in labels
-        if "demand there: meets" in label
+        if "verdict there: pass" in label
     }
     assert met == {row["solver"] for row in meet}
     measured = r"largest single timing \[ms\]: [\d.e-]+, as measured"
@@ -386,10 +388,10 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
         margin = facts.margin(facts.configurations[int(row["id"])])
         assert margin is not None and margin.factor == pytest.approx(row["margin"])
         bounds[int(row["id"])] = margin.factor
-    right = [row for row in drawn if row["state"] == "meets"]
+    right = [row for row in drawn if row["state"] == "pass"]
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
     said = page.inner_text("#slow-kept")
-    assert f"{len(keep)} of the {len(right)} that meet the demand here keep the deadline" in said
+    assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in said
     assert len(right) < len(drawn)
     named = [f"{r['solver']} (× {rounded_down(bounds[int(r['id'])])})" for r in keep]
     assert all((name in said) == (slow > 1 or len(keep) <= 6) for name in named)
@@ -399,7 +401,7 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
     met = {
         label.split("configuration: ")[1].split(" (")[0]
         for label in labels
-        if "demand there: meets" in label
+        if "verdict there: pass" in label
     }
     assert met == {row["solver"] for row in keep}
     for c, bound in bounds.items():
@@ -431,7 +433,7 @@ def test_reload_and_back_restore(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_another_solver_shows_the_same_step(opened: Any) -> None:
-    """Of the same place; the sentence tells what was said from what is so."""
+    """Of the same experiment; the sentence tells what was said from what is so."""
     page = opened(CHOSEN)
     page.select_option("#choose-solver", "daqp")
     page.wait_for_function("location.hash.includes('s=daqp')")
@@ -460,9 +462,15 @@ def test_words_are_a_click_away(opened: Any) -> None:
     page.click("#answer a[href='#words']")
     assert page.locator("#words dt").first.is_visible()
     terms = page.locator("#words dt").all_inner_texts()
-    assert {"demand", "replay", "closed loop", "p50, p95, p99", "round", "sample", "step"} <= {
-        *terms
-    }
+    assert {
+        "requirements",
+        "replay",
+        "closed loop",
+        "p50, p95, p99",
+        "round",
+        "sample",
+        "step",
+    } <= {*terms}
     assert {"rate-limit step", "certified optimum", "fallback"} <= {*terms}
     assert page.evaluate("document.activeElement.id") == "words"
 
@@ -482,8 +490,10 @@ def test_every_scenario_is_explained(opened: Any) -> None:
     page.wait_for_selector("#tip:not([hidden])")
     assert title in page.inner_text("#tip")
     chip.click()
-    places = page.evaluate("facts.places.filter((place) => !place.study).map((p) => p.label)")
-    assert {*places} <= {*page.locator("#words dt").all_inner_texts()}
+    experiments = page.evaluate(
+        "facts.experiments.filter((experiment) => !experiment.study).map((p) => p.label)"
+    )
+    assert {*experiments} <= {*page.locator("#words dt").all_inner_texts()}
     assert page.locator("#words dt", has_text="rough[900:1400]").is_visible()
 
 
@@ -649,8 +659,8 @@ def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.slow
 def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> None:
-    """To the next place, the next solver, and past the last place or solver to the next settings,
-    beside it or below."""
+    """To the next experiment, the next solver, and past the last experiment or solver to the next
+    settings, beside it or below."""
     page = opened("#s=clarabel&w=qpsolvers-fresh&set=default&sc=paper", size=size)
     page.focus("#figure-matrix")
     page.keyboard.press("ArrowRight")
@@ -677,30 +687,30 @@ def test_late_is_not_wrong(opened: Any) -> None:
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]")
     looks: dict[str, set[tuple[str, str]]] = {}
     for mark in labels.all():
-        state = str(mark.get_attribute("aria-label")).split("demand there: ")[1].split(";")[0]
+        state = str(mark.get_attribute("aria-label")).split("verdict there: ")[1].split(";")[0]
         shape = re.sub(r"[\d.,-]+", "", str(mark.get_attribute("d")))
         looks.setdefault(state, set()).add((str(mark.get_attribute("fill")), shape))
-    assert {"late", "wrong"} <= set(looks)
-    ((late_fill, late_shape),), ((wrong_fill, wrong_shape),) = looks["late"], looks["wrong"]
+    assert {"late", "fail"} <= set(looks)
+    ((late_fill, late_shape),), ((wrong_fill, wrong_shape),) = looks["late"], looks["fail"]
     assert late_fill != wrong_fill and late_shape != wrong_shape
     for text in ("p99 limit 3 ms", "deadline 300 ms"):
         assert page.locator("#figure-ladder text", has_text=text).count() == 1
     signs = page.locator("#figure-matrix .mark-text text").all_text_contents()
     assert "✕" in signs
     said = page.inner_text("#matrix > p")
-    assert "Wrong: " in said and "Late: " in said
+    assert "Fail: " in said and "Late: " in said
 
 
 @pytest.mark.slow
 def test_the_matrix_shows_another_way(opened: Any) -> None:
     """The tiles are the runs of that way alone; what was not run so is said to be not run."""
     page = opened()
-    ways = page.locator("#matrix-way option").evaluate_all("(all) => all.map((one) => one.value)")
-    before = page.locator("#figure-matrix path[aria-label*='demand: meets']").count()
-    page.select_option("#matrix-way", ways[-1])
+    modes = page.locator("#matrix-mode option").evaluate_all("(all) => all.map((one) => one.value)")
+    before = page.locator("#figure-matrix path[aria-label*='verdict: pass']").count()
+    page.select_option("#matrix-mode", modes[-1])
     page.wait_for_timeout(300)
     solvers = page.evaluate(
-        f"unique(all().filter((c) => way(c) === {ways[-1]!r}).map((c) => C().solver[c]))"
+        f"unique(all().filter((c) => callMode(c) === {modes[-1]!r}).map((c) => C().solver[c]))"
     )
     run = page.locator("#figure-matrix path[aria-label]:not([aria-label*='not run'])")
     shown = {
@@ -709,9 +719,9 @@ def test_the_matrix_shows_another_way(opened: Any) -> None:
         if "solver: " in label
     }
     assert shown and shown <= set(solvers)
-    page.select_option("#matrix-way", "")
+    page.select_option("#matrix-mode", "")
     page.wait_for_timeout(300)
-    assert page.locator("#figure-matrix path[aria-label*='demand: meets']").count() == before
+    assert page.locator("#figure-matrix path[aria-label*='verdict: pass']").count() == before
 
 
 @pytest.mark.slow

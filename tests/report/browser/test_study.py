@@ -118,7 +118,9 @@ def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
     for control, value in (("point", "1"), ("sea", "3")):
         page.fill(f"#study-{control}", value)
         page.press(f"#study-{control}", "Enter")
-    page.wait_for_function("state.p >= 0 && facts.places[state.p].label === 'seas: point 1, sea 3'")
+    page.wait_for_function(
+        "state.p >= 0 && facts.experiments[state.p].label === 'seas: point 1, sea 3'"
+    )
     page.select_option("#study-who", label="daqp")
     page.wait_for_function("C().solver[state.c] === 'daqp'")
     assert page.inner_text("#study-said").count("daqp") == 1

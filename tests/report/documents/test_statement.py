@@ -66,7 +66,7 @@ def test_nothing_to_recommend_is_nothing_to_state(
     out = records.write(tmp_path / "out")
     assert main(["report", str(out), "--statement", str(tmp_path / "a.pdf")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no configuration that meets the demand everywhere and can go aboard" in line
+    assert "no configuration that passes everywhere and can go aboard" in line
     assert not (tmp_path / "a.pdf").exists() and not (out / "report.html").exists()
 
 
@@ -97,12 +97,12 @@ def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
 
 
 def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: Any) -> None:
-    """Every place that was held is named, and the limits of the claim stand on the page."""
+    """Every experiment that was held is named, and the limits of the claim stand on the page."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.data, written.report.recommendation.first
-    for p, place in enumerate(facts.places):
-        if facts.state(facts.index(first), p) == "meets":
-            assert place.label in text
+    for p, experiment in enumerate(facts.experiments):
+        if facts.state(facts.index(first), p) == "pass":
+            assert experiment.label in text
     assert "Not covered" in text and "Other vessels" in text
 
 

@@ -1,4 +1,4 @@
-"""What the page knows: places, states and cells, against the verdicts they come from."""
+"""What the page knows: experiments, states and cells, against the verdicts they come from."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.solver_tables import tile_table
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import drawn_tiles
-from dpbench.report.page.terms import place_words
+from dpbench.report.page.terms import experiment_words
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _facts(records: Any) -> PageData:
     view = records.view()
-    return PageData.of(view, verdicts_of(view, DEMAND))
+    return PageData.of(view, verdicts_of(view, REQUIREMENTS))
 
 
-def _state(facts: PageData, solver: str, place: str) -> str:
+def _state(facts: PageData, solver: str, experiment: str) -> str:
     (c,) = (i for i, one in enumerate(facts.configurations) if one.solver == solver)
-    (p,) = (i for i, one in enumerate(facts.places) if one.label == place)
+    (p,) = (i for i, one in enumerate(facts.experiments) if one.label == experiment)
     return facts.state(c, p)
 
 
-def test_places_come_scenarios_first_and_si_last(records: Any) -> None:
-    """In the order of the suite within each kind; a sequence and its scenario are two places."""
+def test_experiments_come_scenarios_first_and_si_last(records: Any) -> None:
+    """In the order of the suite within each kind; a sequence and its scenario are two."""
     records.replay("daqp", "calm", steps=20)
     records.loop("daqp", "rough", units="si")
     records.loop("daqp", "calm")
     records.loop("daqp", "paper")
     facts = _facts(records)
-    assert [place.label for place in facts.places] == [
+    assert [experiment.label for experiment in facts.experiments] == [
         "calm",
         "paper",
         "rough (in N and N·m)",
@@ -55,26 +55,26 @@ def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None
     records.replay("daqp", median_us=4000.0)
     facts = _facts(records)
     states = {s: _state(facts, s, "paper") for s in ("daqp", "osqp", "scs", "qpax")}
-    assert states == {"daqp": "meets", "osqp": "wrong", "scs": "open", "qpax": "not run"}
+    assert states == {"daqp": "pass", "osqp": "fail", "scs": "inconclusive", "qpax": "not run"}
     assert _state(facts, "daqp", "paper (replay)") == "late", "its p99 is 4 ms"
     assert _state(facts, "osqp", "paper (replay)") == "not run", "there is no such run"
     for (c, p), run in facts.runs.items():
-        alone = verdict_of(facts.records, facts.configurations[c], [run], [], DEMAND)
-        assert (facts.state(c, p) in ("late", "wrong")) == bool(alone.causes)
-        assert (facts.state(c, p) == "not run") == (alone.outcome == "not run")
+        alone = verdict_of(facts.records, facts.configurations[c], [run], [], REQUIREMENTS)
+        assert (facts.state(c, p) in ("late", "fail")) == bool(alone.causes)
+        assert (facts.state(c, p) == "not run") == (alone.state == "not run")
 
 
-def test_si_units_are_a_place_and_no_configuration(records: Any) -> None:
-    """The same solver in other units is the same solver in another place."""
+def test_si_units_are_a_experiment_and_no_configuration(records: Any) -> None:
+    """The same solver in other units is the same solver in another experiment."""
     records.loop("daqp")
     records.loop("daqp", units="si", error=0.3)
     facts = _facts(records)
     assert len(facts.configurations) == 1
-    assert _state(facts, "daqp", "paper") == "meets"
-    assert _state(facts, "daqp", "paper (in N and N·m)") == "wrong"
+    assert _state(facts, "daqp", "paper") == "pass"
+    assert _state(facts, "daqp", "paper (in N and N·m)") == "fail"
 
 
-def test_of_two_runs_in_one_place_the_longer_counts(records: Any) -> None:
+def test_of_two_runs_in_one_experiment_the_longer_counts(records: Any) -> None:
     """A short loop beside a whole one does not replace it, whichever comes first."""
     for lengths in ((40, 120), (120, 40)):
         for steps in lengths:
@@ -115,7 +115,7 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
 
 
 def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records: Any) -> None:
-    """One reference in each place: the run whose deviation is least."""
+    """One reference in each experiment: the run whose deviation is least."""
     records.loop("far", error=0.9)
     records.loop("near", error=1e-9)
     facts = _facts(records)
@@ -138,7 +138,7 @@ def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
     assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
-def test_a_place_is_said_in_the_words_of_its_scenario(records: Any) -> None:
+def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
     """Title and first sentence; of a replay its window and how many of the steps have active
     limits, of an extra that it counts in no verdict; without a scenario nothing."""
     records.loop("daqp", "rough")
@@ -147,21 +147,21 @@ def test_a_place_is_said_in_the_words_of_its_scenario(records: Any) -> None:
     records._scenarios["robot"] = records.scenario("rough")
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
-    said = {word.term: word.meaning for word in place_words(facts).values()}
+    said = {word.term: word.meaning for word in experiment_words(facts).values()}
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
     assert said["rough"] == f"{start} 6-7."
     assert said["rough (in N and N·m)"].startswith(start)
     assert said["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
     window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
     assert window in said["rough[900:1400] (replay)"]
-    assert list(said) == [p.label for p in facts.places if p.name != "robot"]
+    assert list(said) == [p.label for p in facts.experiments if p.name != "robot"]
 
 
 def _of_window(records: Any) -> str:
     return json.dumps({"scenario": records.scenario("rough").files, "first": 900})
 
 
-def test_of_many_places_those_that_miss_most_are_drawn(
+def test_of_many_experiments_those_that_miss_most_are_drawn(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As many as there is room for, in the order they had; the page says how many of how many."""
@@ -174,11 +174,11 @@ def test_of_many_places_those_that_miss_most_are_drawn(
     assert drawn_tiles(tiles).equals(tiles)
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
-    assert drawn["place"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
+    assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
     said = _matrix_text(facts)
-    assert "The 2 of 4 places that miss it most" in said and "N·m" not in said
+    assert "The 2 of 4 scenarios and replays with the fewest passes" in said and "N·m" not in said
     monkeypatch.undo()
     records.loop("daqp", units="si")
     assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
     records.loop("osqp", units="si", error=0.5)
-    assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers are wrong there: scale the QP.")
+    assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers fail there: scale the QP.")

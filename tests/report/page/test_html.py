@@ -121,13 +121,15 @@ def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp
 
 
 def test_the_block_unpacks_to_the_facts(written: Any) -> None:
-    """Configurations, places and cells are those of the facts, and the steps of a cell are within
-    a code of those of its run."""
+    """Configurations, experiments and cells are those of the facts, and the steps of a cell are
+    within a code of those of its run."""
     (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
     document, arrays = unpacked(text.strip())
     facts = written.report.data
     assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
-    assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
+    assert [experiment["label"] for experiment in document["experiments"]] == [
+        p.label for p in facts.experiments
+    ]
     cells = document["cells"]
     assert len(cells["id"]) == len(facts.runs)
     for i in (0, len(cells["id"]) // 2):

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import best_of_each, choose_solver
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -22,8 +22,8 @@ from dpbench.report.report import Report
 
 
 def _facts(records: Any) -> PageData:
-    view, demand = records.view(), Demand()
-    return PageData.of(view, verdicts_of(view, demand))
+    view, requirements = records.view(), Requirements()
+    return PageData.of(view, verdicts_of(view, requirements))
 
 
 def _answer(records: Any, baseline: str | None = None) -> Recommendation:
@@ -37,8 +37,8 @@ def _plain(html: str) -> str:
 
 def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     """The recommendation, its p99 and its speed margin are the same everywhere."""
-    demand = Demand.of(written.results.suite)
-    verdicts = verdicts_of(Records(written.results), demand)
+    requirements = Requirements.of(written.results.suite)
+    verdicts = verdicts_of(Records(written.results), requirements)
     chosen = choose_solver(verdicts).chosen
     assert chosen is not None and chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
@@ -57,12 +57,16 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
             where = f"{time_text(step.time_ns)} in {step.run.scenario}, k {step.k} ("
             assert where in said
     said = dict(written.lines)
-    assert "native warm" not in said["answer"], "a way that was replayed alone is not recommended"
-    assert said["open"].startswith("daqp (native warm) is faster on average, and open: not run")
+    assert "native warm" not in said["answer"], (
+        "a call mode that was replayed alone is not recommended"
+    )
+    assert said["inconclusive"].startswith(
+        "daqp (native warm) is faster on average, and inconclusive: not run"
+    )
 
 
 def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) -> None:
-    """At most 8 kB; a row a solver with outcome, times, error and failed steps of its verdict."""
+    """At most 8 kB; a row a solver with verdict, times, error and failed steps of its verdict."""
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows
@@ -71,8 +75,8 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))
         assert row["solver"] == verdict.configuration.solver
-        assert row["way"] == verdict.configuration.options
-        assert row["demand"] == verdict.state
+        assert row["call mode"] == verdict.configuration.options
+        assert row["verdict"] == verdict.state
         assert row["p99"] == time_text(verdict.replay_p99_ns)
         assert row["worst p99"] == time_text(verdict.p99_ns)
         assert row["p99 of timings"] == time_text(verdict.raw_p99_ns)
@@ -93,7 +97,7 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
 
 
-def test_chips_say_of_each_place_what_the_first_did_there(records: Any) -> None:
+def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
     """Held, missed, open and not run are four words and four marks."""
     records.loop("daqp", "paper")
     records.replay("daqp", "paper")
@@ -101,9 +105,9 @@ def test_chips_say_of_each_place_what_the_first_did_there(records: Any) -> None:
     answer = _answer(records)
     assert answer.first is not None and answer.first.solver == "daqp"
     assert {(chip.text, chip.mark) for chip in answer.chips} == {
-        ("paper: held", "meets"),
+        ("paper: pass", "pass"),
         ("rough: not run", "none"),
-        ("paper (replay): held", "meets"),
+        ("paper (replay): pass", "pass"),
     }
 
 
@@ -119,7 +123,7 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     assert answer.first is not None and answer.first.policy == "warm"
     said = next(chip for chip in answer.chips if "N·m" in chip.text)
     assert said.text == (
-        "paper (in N and N·m): not run this way (qpsolvers fresh held; native reuse wrong)"
+        "paper (in N and N·m): not run in this call mode (qpsolvers fresh pass; native reuse fail)"
     )
     assert said.mark == "none"
 
@@ -134,8 +138,8 @@ def test_open_is_not_recommended(records: Any) -> None:
 
 
 NOBODY = [
-    ({"error": 0.4}, "Nothing is recommended: no solver meets the demand in any configuration"),
-    ({"outcome": "timed_out", "done": 9}, "Nothing is recommended while it is open whether"),
+    ({"error": 0.4}, "Nothing is recommended: no solver passes in any configuration"),
+    ({"outcome": "timed_out", "done": 9}, "Nothing is recommended while the verdict on a solver"),
 ]
 
 
@@ -156,7 +160,7 @@ def test_own_code_alone_is_no_recommendation(records: Any) -> None:
     records.loop("hildreth", route="native")
     records.replay("hildreth", route="native")
     answer = _answer(records)
-    assert answer.sentence.startswith("Nothing that can go aboard meets the demand; hildreth")
+    assert answer.sentence.startswith("Nothing that can go aboard passes; hildreth")
     assert answer.notes == ()
 
 
@@ -184,10 +188,11 @@ def test_what_is_faster_and_open_is_named(records: Any) -> None:
     for settings, median_us, error in (("high", 4.0, 1e-9), ("mid", 5.0, 1e-9), ("low", 2.0, 0.4)):
         way = {"route": "native", "policy": "reuse", "settings": settings}
         records.replay("hildreth", median_us=median_us, error=error, **way)
-    notes = [text for word, text in _answer(records).notes if word == "open"]
+    notes = [text for word, text in _answer(records).notes if word == "inconclusive"]
     assert notes == [
-        "hildreth (native reuse, high) is faster on average, and open: not run in closed loop.",
-        "daqp (native reuse) is faster on average, and open: not run in closed loop.",
+        "hildreth (native reuse, high) is faster on average, and inconclusive: not run in closed "
+        "loop.",
+        "daqp (native reuse) is faster on average, and inconclusive: not run in closed loop.",
     ]
 
 
@@ -195,7 +200,7 @@ def test_where_all_is_open_nobody_is_called_so(records: Any) -> None:
     """The answer has said it."""
     records.replay("daqp")
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
-    assert "open" not in dict(_answer(records).notes)
+    assert "inconclusive" not in dict(_answer(records).notes)
 
 
 def test_steps_without_a_solution_are_said(records: Any) -> None:

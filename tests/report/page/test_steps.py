@@ -18,7 +18,7 @@ from dpbench.analysis.records.kept_runs import (
 )
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
 from dpbench.report.page import steps as packing
@@ -118,8 +118,8 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
     results = records.results()
 
     def size() -> int:
-        view, demand = Records(results), Demand.of(results.suite)
-        facts = PageData.of(view, verdicts_of(view, demand))
+        view, requirements = Records(results), Requirements.of(results.suite)
+        facts = PageData.of(view, verdicts_of(view, requirements))
         cells = list(facts.cells())
         assert len(cells) == 4
         return len(facts.block.text({}))
@@ -138,8 +138,8 @@ def test_of_many_runs_fewer_hard_steps_are_listed(
 
     def listed(most: int) -> set[int]:
         monkeypatch.setattr(page_data, "MOST_HARD", most)
-        view, demand = records.view(), Demand.of({})
-        facts = PageData.of(view, verdicts_of(view, demand))
+        view, requirements = records.view(), Requirements.of({})
+        facts = PageData.of(view, verdicts_of(view, requirements))
         assert all(len(rows) == 5 for run in facts.kept.values() for rows in run.hard.values())
         return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
 

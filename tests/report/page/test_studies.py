@@ -38,27 +38,27 @@ def test_it_opens_where_least_is_held(records: Any) -> None:
     facts = Report.of(of_seas(records).results()).data
     assert facts.opening is not None
     c, p = facts.opening
-    place = facts.places[p]
+    experiment = facts.experiments[p]
     assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
-    assert place.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and place.replicate == 2
-    assert place.label == f"seas: point {place.point}, sea {place.replicate}"
+    assert experiment.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and experiment.replicate == 2
+    assert experiment.label == f"seas: point {experiment.point}, sea {experiment.replicate}"
     assert facts.runs[c, p].r_tail_max_m == 1.5
 
 
 def test_seas_enter_no_verdict(records: Any) -> None:
-    """Beside other runs they are places, but none of the answer or of the tiles."""
+    """Beside other runs they are experiments, but none of the answer or of the tiles."""
     made = of_seas(records)
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
     report = Report.of(made.results())
-    assert [report.data.places[p].label for p in report.data.judged_places] == [
+    assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
         "calm",
         "calm (replay)",
     ]
     assert report.data.opening is None
     assert not any("sea" in chip.text for chip in report.recommendation.chips)
-    assert set(report.tables["places"]["place"]) == {"calm", "calm (replay)"}
-    assert set(report.tables["places"]["settings"]) == {"default"}
+    assert set(report.tables["experiments"]["experiment"]) == {"calm", "calm (replay)"}
+    assert set(report.tables["experiments"]["settings"]) == {"default"}
 
 
 def test_a_page_keeps_the_first_seas_of_all_points(
@@ -69,6 +69,6 @@ def test_a_page_keeps_the_first_seas_of_all_points(
     monkeypatch.setattr(page_data, "MOST_LOOPS", room)
     facts = Report.of(of_seas(records).results()).data
     assert len(facts.runs) == room
-    assert {facts.places[p].replicate for _, p in facts.runs} == {1}
-    assert len(facts.places) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS
     assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS

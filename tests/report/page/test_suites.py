@@ -192,7 +192,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
 
 
 @pytest.mark.parametrize("kind", ["random", "consequence", "slow computers", "calibration"])
-def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: str) -> None:
+def test_without_a_solver_on_a_ship_no_requirements_are_named(records: Any, kind: str) -> None:
     """Its answer is that of its own question, and has no chip and nothing to paste."""
     KINDS[kind][0](records)
     report = Report.of(records.results())
@@ -204,7 +204,7 @@ def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: s
         "calibration": "Waits of known length were measured within ",
     }
     assert lead.leads and lead.lines[0].startswith(starts[kind])
-    assert (answer.sentence, answer.demand, answer.snippets, answer.chips) == ("", "", (), ())
+    assert (answer.sentence, answer.requirements, answer.snippets, answer.chips) == ("", "", (), ())
 
 
 def _nothing(records: Any) -> None:
@@ -248,7 +248,7 @@ PARTIAL = [
     (_refused_only, "Nothing is recommended"),
     (_single_step, "Use daqp (qpsolvers, fresh, default)"),
     (_all_crashed, "Nothing is recommended"),
-    (_all_silent, "Nothing is recommended: no solver meets the demand"),
+    (_all_silent, "Nothing is recommended: no solver passes"),
     (_baseline_law_only, "No solver was run, so there is nothing to judge."),
     (_si_only, "Right on every step of 1 closed loop: daqp (qpsolvers fresh, high, si)."),
     (_odd_names, "Nobody is right on every step of 1 closed loop;"),

@@ -15,14 +15,14 @@ from dpbench.report.page.terms import PHRASES, Terms
 def test_a_term_is_linked_where_a_section_names_it_first() -> None:
     """Whatever its number and capital; with what it means; what else stands there is escaped."""
     terms = Terms([])
-    said = terms("Replays of a<b: the demand, the replay and a demand.")
+    said = terms("Replays of a<b: the requirements, the replay and requirements.")
     assert said.count("<a ") == 2 and "a&lt;b" in said
     assert said.startswith('<a class="term" href="#word-replay"')
     assert f'title="{escape(meanings()["replay"])}">Replays</a>' in said
-    assert "<a " not in terms("The demand again.")
+    assert "<a " not in terms("The requirements again.")
     terms.section()
-    assert "<a " in terms("The demand in a new section.")
-    assert [word.term for word in terms.words] == ["replay", "demand"]
+    assert "<a " in terms("The requirements in a new section.")
+    assert [word.term for word in terms.words] == ["replay", "requirements"]
 
 
 def test_the_longest_phrase_is_the_term() -> None:

@@ -40,7 +40,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
         "To steer thrusters take daqp (native, warm, default): its largest step"
     )
     assert first.endswith(
-        "Of 3 solvers that do what is demanded with three forces (three_forces), 2 fail with "
+        "Of 3 solvers that pass with three forces (three_forces), 2 fail with "
         "thrusters: piqp, too late; osqp, wrong."
     )
     assert second == (
@@ -49,11 +49,11 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
 
 
 def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> None:
-    """Who does what is demanded here is all that the runs carry."""
+    """Who passes here is all that the runs carry."""
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
     first, _ = said(campaign(records, solvers, forces=False))
     assert "three forces" not in first
-    assert first.endswith("1 of 2 solvers does what is demanded; not so: piqp, too late.")
+    assert first.endswith("1 of 2 solvers passes; not so: piqp, too late.")
 
 
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:

@@ -3,16 +3,16 @@
 from typing import Any
 
 from dpbench.analysis.times.contrasts import route_gains
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
 from dpbench.report.table import Table
 from dpbench.report.topics.replays import formulations_topic
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _figures(verdict: Verdict) -> tuple[object, ...]:
-    return verdict.configuration, verdict.outcome, verdict.p99_ns, verdict.steps, verdict.causes
+    return verdict.configuration, verdict.state, verdict.p99_ns, verdict.steps, verdict.causes
 
 
 def _rows(table: Table) -> dict[str, dict[str, str]]:
@@ -28,7 +28,7 @@ def test_the_forms_stand_side_by_side(records: Any) -> None:
     records.replay("osqp", median_us=20.0, formulation="condensed_stacked", error=0.5, **exact)
     records.replay("daqp", median_us=10.0, **exact)
     records.refused("daqp", "P is only semidefinite", "replay", formulation="sparse")
-    topic = formulations_topic(records.view(), DEMAND)
+    topic = formulations_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     (table,) = topic.tables
     assert _rows(table) == {
@@ -52,7 +52,7 @@ def test_route_settings_and_units_are_told_apart(records: Any) -> None:
             configuration = {"route": route, "units": units, "spread": 0.0}
             records.replay("piqp", median_us=median, **configuration)
             records.replay("piqp", median_us=90.0, formulation="sparse", **configuration)
-    topic = formulations_topic(records.view(), DEMAND)
+    topic = formulations_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     scaled, si = topic.tables
     assert [cells["condensed_box"] for cells in _rows(scaled).values()] == ["50.0 µs", "40.0 µs"]
@@ -64,7 +64,7 @@ def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
     records.replay("daqp")
     records.replay("daqp", sequence="rough", formulation="sparse")
     view = records.view()
-    assert formulations_topic(view, DEMAND) is None
+    assert formulations_topic(view, REQUIREMENTS) is None
     # The only formulation of a sequence is its common one.
     assert [run.formulation for run in view.replays("rough")] == ["sparse"]
 
@@ -76,7 +76,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        [_figures(v) for v in verdicts_of(before, DEMAND).all],
+        [_figures(v) for v in verdicts_of(before, REQUIREMENTS).all],
         route_gains(before, "paper"),
         [run.run_id for run in before.replays("paper")],
     )
@@ -86,7 +86,7 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **configuration)
     after = records.view()
     found = (
-        [_figures(v) for v in verdicts_of(after, DEMAND).all],
+        [_figures(v) for v in verdicts_of(after, REQUIREMENTS).all],
         route_gains(after, "paper"),
         [run.run_id for run in after.replays("paper")],
     )

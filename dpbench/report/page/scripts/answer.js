@@ -6,16 +6,16 @@ const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length
   ? `: ${rows.map(say).join(", ")}` : "");
 
 // The speed margin of the chosen configuration, and the solvers that stay within both limits on the
-// slower computer: of those that meet the demand here, or that nothing contradicts where none does.
+// slower computer: of those that pass here, or that nothing contradicts where none does.
 function kept() {
-  const { deadline_ms, p99_ms } = facts.demand, margin = C().margin[state.c];
+  const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   const own = margin === null ? "" : `${C().solver[state.c]}: ${
     margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
   const which = (...states) => rowsDrawn("ladder").values.filter((row) => states.includes(row.state));
-  const meeting = which("meets"), right = meeting.length ? meeting : which("borderline", "open");
+  const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
   const safe = right.filter((row) => state.slow <= 1 || row.margin >= state.slow).sort((a, b) => b.margin - a.margin);
-  return `${own}${safe.length} of the ${right.length} that ${meeting.length ? "meet the demand" : "nothing contradicts"
+  return `${own}${safe.length} of the ${right.length} that ${passing.length ? "pass" : "nothing contradicts"
   } here keep the deadline of ${deadline_ms} ms and a p99 of ${p99_ms} ms${
     listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
 }

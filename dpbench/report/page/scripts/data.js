@@ -75,14 +75,14 @@ function scaled(value, column) {
   return column.scale && typeof value === "number" ? value * column.scale : value;
 }
 
-// The rows behind the p99 that the page names; of what was not timed, those of the chosen place.
+// The rows behind the p99 that the page names; of what was not timed, those of the chosen experiment.
 function drawQuery() {
   const p = C().timed_at?.[state.c] ?? state.p, run = cell(state.c, p);
   $("data-query").parentElement.hidden = !run;
   $("data-query").textContent = !run ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
-      + `  # ${label(state.c)} in ${facts.places[p].label}`
-      + (facts.places[p].mode === "replay"
+      + `  # ${label(state.c)} in ${facts.experiments[p].label}`
+      + (facts.experiments[p].mode === "replay"
         ? `\ntotal_ns = steps.filter(regex="^(setup|update|solve|read|allocation)_ns$").sum(axis=1)`
           + `\ntotal_ns[steps.counts].groupby(steps.k).min().quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
         : "");

@@ -100,11 +100,11 @@ async function mark(name, values) {
   await view.runAsync();
 }
 
-// A row or tile chooses its configuration and place.
+// A row or tile chooses its configuration and experiment.
 function pickedRow(datum) {
   const c = Number(datum?.id ?? -1);
   if (c < 0 || C().solver[c] === undefined) return;
-  select({ c, ...(datum.place_id === undefined ? {} : { p: Number(datum.place_id) }), k: null });
+  select({ c, ...(datum.experiment_id === undefined ? {} : { p: Number(datum.experiment_id) }), k: null });
 }
 
 // The rows that a figure was written with.

@@ -11,7 +11,7 @@ function beside() {
 // The line that stays: the chosen one with its times and where it is shown; on a phone without what
 // stands elsewhere too.
 function drawChosen() {
-  const c = state.c, timed = facts.places[C().timed_at[c]]?.label, longest = facts.places[C().longest_at[c]]?.label;
+  const c = state.c, timed = facts.experiments[C().timed_at[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
   const wide = (text) => {
     const span = document.createElement("span");
     span.className = "wide-only"; span.textContent = text;
@@ -22,9 +22,9 @@ function drawChosen() {
     ["largest timing", "longest", longest && ` in ${longest}`]]
     .filter(([, column]) => C()[column][c] !== null)
     .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
-  const outcome = C().outcome[c] === "not judged" ? "" : `: ${C().outcome[c]}`;
-  $("chosen").replaceChildren(`${label(c)}${outcome}`, ...times, wide(beside()),
-    `; shown in ${facts.places[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
+  const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;
+  $("chosen").replaceChildren(`${label(c)}${verdict}`, ...times, wide(beside()),
+    `; shown in ${facts.experiments[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
 }
 
 // Draws the eye to what has changed.

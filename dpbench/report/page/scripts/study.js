@@ -1,21 +1,21 @@
-// A study: what is chosen of it is the configuration and the place, a sea at one of its points.
+// A study: what is chosen of it is the configuration and the experiment, a sea at one of its points.
 "use strict";
 
 const MOST_TILES = 12;  // Values of a key that stand side by side as tiles.
 
-// The study of the chosen place; the first where that is of none.
-const studied = () => facts.studies.find((s) => s.name === facts.places[state.p]?.study) ?? facts.studies[0];
+// The study of the chosen experiment; the first where that is of none.
+const studied = () => facts.studies.find((s) => s.name === facts.experiments[state.p]?.study) ?? facts.studies[0];
 
-// The chosen point and sea; of a page that shows another place, the study's first.
+// The chosen point and sea; of a page that shows another experiment, the study's first.
 function there(study) {
-  const place = facts.places[state.p];
-  return place.study === study.name ? place : { point: study.points[0], sea: study.runs.sea[0] };
+  const experiment = facts.experiments[state.p];
+  return experiment.study === study.name ? experiment : { point: study.points[0], sea: study.runs.sea[0] };
 }
 
-// The number of a sea among the places; of a sea that is not there, of the point's first.
+// The number of a sea among the experiments; of a sea that is not there, of the point's first.
 function placeOf(study, point, sea) {
-  const of = (wanted) => facts.places.findIndex((place) => place.study === study.name
-    && place.point === point && (wanted === null || place.sea === wanted));
+  const of = (wanted) => facts.experiments.findIndex((experiment) => experiment.study === study.name
+    && experiment.point === point && (wanted === null || experiment.sea === wanted));
   const p = of(sea);
   return p < 0 ? of(null) : p;
 }

@@ -1,10 +1,10 @@
-"""What was run where, and what each run alone says of the demand: what the page's tiles say.
+"""Runs by configuration and experiment, each judged alone: the cells of the page's grid.
 
-configurations   those that were run, whatever the units and the formulation: these are places
-places           scenarios steered through and sequences replayed, in the order of the suite,
-                 then the seas of studies
-runs, states     a configuration in a place, by their numbers in these lists; a window of the
-                 hardest steps counts in the place of its scenario's closed loop
+configurations   those that were run, whatever the units and the formulation: an experiment has its
+experiments      scenarios in closed loop and sequences in replay, in the order of the suite, then
+                 the realisations of studies
+runs, states     by the numbers of configuration and experiment in these lists; a window of the
+                 hardest steps counts in the experiment of its scenario's closed loop
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Self
 from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand, survived
+from dpbench.analysis.verdict.requirements import Requirements, survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
@@ -26,8 +26,8 @@ from dpbench.scenario.scenario import Scenario, scenario_of
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where configurations were run: a scenario in closed loop, or a sequence in replay.
+class Experiment:
+    """What configurations were run on: a scenario in closed loop, or a sequence in replay.
 
     study, point, replicate : of a sea of a study.
     """
@@ -42,8 +42,8 @@ class Place:
     replicate: int = 0
 
     @classmethod
-    def of(cls, run: RunRecord, formulation: str = "") -> Place:
-        """The place of a run; `formulation` where it is another than the common one there."""
+    def of(cls, run: RunRecord, formulation: str = "") -> Experiment:
+        """The experiment of a run; `formulation` where it is another than the common one there."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)
             return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
@@ -69,29 +69,29 @@ class Place:
 
 
 @dataclass(eq=False)
-class PlacedRuns:
-    """The lists above."""
+class RunMatrix:
+    """Runs of a result folder by configuration and experiment; the lists are described above."""
 
     records: Records
-    demand: Demand
+    requirements: Requirements
     verdicts: Verdicts
     configurations: list[Configuration]
-    places: list[Place]
+    experiments: list[Experiment]
     runs: dict[tuple[int, int], RunRecord] = field(default_factory=dict)
     states: dict[tuple[int, int], Verdict] = field(default_factory=dict)
-    _seas: dict[Place, Scenario | None] = field(default_factory=dict)
+    _seas: dict[Experiment, Scenario | None] = field(default_factory=dict)
 
     @classmethod
-    def placed(
+    def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """The runs of some records; of two of one configuration in one place the longer.
+        """Arrange the runs of some records; of two of one configuration and experiment the longer.
 
         Parameters
         ----------
-        studied : runs of studies that have a place; kept : so many of them are among the runs.
+        studied : runs of studies that are experiments; kept : so many of them are among the runs.
         """
-        runs: dict[tuple[Configuration, Place], RunRecord] = {}
+        runs: dict[tuple[Configuration, Experiment], RunRecord] = {}
         windows: dict[tuple[Configuration, str], RunRecord] = {}
         common = {run.run_id for run in records.runs}
         ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
@@ -99,28 +99,32 @@ class PlacedRuns:
             usual = run.slowdown > 0.0 or run.run_id in common
             if run.window_of:
                 if usual and run.units == "scaled":
-                    windows[placed_configuration(run), run.scenario] = run
+                    windows[common_configuration(run), run.scenario] = run
                 continue
-            key = placed_configuration(run), Place.of(run, "" if usual else run.formulation)
+            key = common_configuration(run), Experiment.of(run, "" if usual else run.formulation)
             other = runs.get(key)
             if other is None or run.steps_planned > other.steps_planned:
                 runs[key] = run
-        of_studies = map(placed_configuration, studied)
+        of_studies = map(common_configuration, studied)
         configurations = list(dict.fromkeys([*(c for c, _ in runs), *of_studies]))
-        known = dict.fromkeys([*(place for _, place in runs), *map(Place.of, studied)])
-        places = sorted(known, key=lambda place: place.order)
-        numbers = {place: p for p, place in enumerate(places)}
-        placed = cls(records, verdicts.demand, verdicts, configurations, places)
-        for (configuration, place), run in runs.items():
-            at = configurations.index(configuration), numbers[place]
-            placed.runs[at] = run
+        known = dict.fromkeys(
+            [*(experiment for _, experiment in runs), *map(Experiment.of, studied)]
+        )
+        experiments = sorted(known, key=lambda experiment: experiment.order)
+        numbers = {experiment: p for p, experiment in enumerate(experiments)}
+        matrix = cls(records, verdicts.requirements, verdicts, configurations, experiments)
+        for (configuration, experiment), run in runs.items():
+            at = configurations.index(configuration), numbers[experiment]
+            matrix.runs[at] = run
             judged = [run]
             window = windows.get((configuration, run.scenario))
-            where = place.mode, place.units, place.slowdown
+            where = experiment.mode, experiment.units, experiment.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
                 judged.append(window)
-            placed.states[at] = verdict_of(records, configuration, judged, [], verdicts.demand)
-        return placed
+            matrix.states[at] = verdict_of(
+                records, configuration, judged, [], verdicts.requirements
+            )
+        return matrix
 
     @property
     def references(self) -> list[Configuration]:
@@ -134,17 +138,17 @@ class PlacedRuns:
     @property
     def levels(self) -> list[str]:
         """The settings levels that were run outside studies, the most usual first."""
-        run = [self.configurations[c] for c, p in self.runs if not self.places[p].study]
+        run = [self.configurations[c] for c, p in self.runs if not self.experiments[p].study]
         return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
 
     @property
-    def judged_places(self) -> list[int]:
-        """The numbers of the places that enter verdicts: all but the seas of studies."""
-        return [p for p, place in enumerate(self.places) if not place.study]
+    def judged_experiments(self) -> list[int]:
+        """The numbers of the experiments that enter verdicts: all but the seas of studies."""
+        return [p for p, experiment in enumerate(self.experiments) if not experiment.study]
 
     @cached_property
     def first_runs(self) -> dict[int, RunRecord]:
-        """The first run of each place."""
+        """The first run of each experiment."""
         keys = firsts(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
@@ -152,42 +156,42 @@ class PlacedRuns:
         """The scenario of a run, in a study that of its sea; None where its row carries none."""
         if not run.study:
             return self.records.scenario(run.scenario)
-        place = Place.of(run)
-        if place not in self._seas:
+        experiment = Experiment.of(run)
+        if experiment not in self._seas:
             files = run.scenario_files
-            self._seas[place] = None if files is None else scenario_of(files)
-        return self._seas[place]
+            self._seas[experiment] = None if files is None else scenario_of(files)
+        return self._seas[experiment]
 
     def state(self, c: int, p: int) -> str:
-        """Return the state of a run alone: meets, borderline, late, wrong, open or not run.
+        """Return the state of a run alone: one of `STATES`.
 
         On a slower computer the ship has to be held, too, or the answers were late.
         """
         verdict = self.states.get((c, p))
-        if verdict is None or verdict.outcome == "not run":
+        if verdict is None or verdict.state == "not run":
             return "not run"
         run = self.runs[c, p]
         if verdict.causes:
             return verdict.state
         if run.slowdown > 0.0 and not survived(run):
             return "late"
-        return "open" if verdict.doubts else "borderline" if verdict.near else "meets"
+        return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
     def timed_at(self, verdict: Verdict) -> int | None:
         """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
-        wanted = Place("replay", verdict.timed_on, "scaled")
-        return self.places.index(wanted) if wanted in self.places else None
+        wanted = Experiment("replay", verdict.timed_on, "scaled")
+        return self.experiments.index(wanted) if wanted in self.experiments else None
 
-    def longest_timing(self, configuration: Configuration) -> tuple[Place, RunRecord] | None:
+    def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
         """The run with its largest single timing, of everything judged that it ran: loops and
         replays alike; None where none left one."""
         judged = self._judged_runs(configuration)
-        timed = [(place, run) for place, run in judged if not math.isnan(run.raw_max_ns)]
+        timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
 
     def margin(self, configuration: Configuration) -> SpeedMargin | None:
         """Return the speed margin of a configuration; None where no replay of it was timed."""
-        return speed_margins(self.records, self.demand).get(configuration)
+        return speed_margins(self.records, self.requirements).get(configuration)
 
     def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
         """How many steps of its judged runs had no solution, and whether it said so of all."""
@@ -197,10 +201,10 @@ class PlacedRuns:
         steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
         return steps, all(run.true_share == 1.0 for run in known)
 
-    def _judged_runs(self, configuration: Configuration) -> list[tuple[Place, RunRecord]]:
+    def _judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
         """Return its runs that enter verdicts."""
         c = self.index(configuration)
-        known = [(self.places[p], run) for (at, p), run in self.runs.items() if at == c]
+        known = [(self.experiments[p], run) for (at, p), run in self.runs.items() if at == c]
         return [one for one in known if one[0].units == "scaled" and not one[0].study]
 
     def index(self, configuration: Configuration) -> int:
@@ -209,6 +213,6 @@ class PlacedRuns:
         return known.index(configuration) if configuration in known else -1
 
 
-def placed_configuration(run: RunRecord) -> Configuration:
-    """The configuration of a run whatever its units and formulation: those belong to the place."""
+def common_configuration(run: RunRecord) -> Configuration:
+    """Return the configuration of a run in the common units and formulation."""
     return replace(run.configuration.in_common_formulation, units="scaled")

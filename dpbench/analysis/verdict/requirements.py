@@ -1,4 +1,4 @@
-"""What a controller demands of a solver, as the suite writes it."""
+"""What a controller requires of a solver, as the suite writes it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ MARGIN = 0.1
 
 
 @dataclass(frozen=True)
-class Demand:
-    """What a controller demands of a solver."""
+class Requirements:
+    """What a controller requires of a solver."""
 
     error_move: float = 1e-2
     failed_steps: int = 0
@@ -22,9 +22,10 @@ class Demand:
     deadline_ms: float = 300.0
 
     @classmethod
-    def of(cls, suite: SuiteDescription) -> Demand:
-        """The demand written in `suite.json`; defaults where it is silent."""
-        known = suite.get("demand", {})
+    def of(cls, suite: SuiteDescription) -> Requirements:
+        """The requirements written in `suite.json`; defaults where it is silent."""
+        # Folders of earlier releases have them as `demand`.
+        known = suite.get("requirements", suite.get("demand", {}))
         return cls(
             known.get("error_move", cls.error_move),
             known.get("failed_steps", cls.failed_steps),
@@ -43,8 +44,8 @@ class Demand:
         return self.deadline_ms * 1e6
 
 
-def is_right(run: RunRecord, demand: Demand) -> bool:
-    """Whether the configuration's answers meet the demand on every replayed step, and are not
+def is_right(run: RunRecord, requirements: Requirements) -> bool:
+    """Whether the configuration's answers pass on every replayed step, and are not
     remembered.
 
     A configuration that its time limit stopped counts if it had done every step at least once by
@@ -54,14 +55,14 @@ def is_right(run: RunRecord, demand: Demand) -> bool:
         run.outcome in ("finished", "timed_out")
         and not run.remembers
         and run.steps_done == run.steps_planned
-        and run.error_move_max <= demand.error_move
-        and run.failed_steps <= demand.failed_steps
+        and run.error_move_max <= requirements.error_move
+        and run.failed_steps <= requirements.failed_steps
     )
 
 
-def is_right_to_the_end(run: RunRecord, demand: Demand) -> bool:
+def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
     """Whether it is right, and nothing stopped it: what a closed loop has to be."""
-    return run.outcome == "finished" and is_right(run, demand)
+    return run.outcome == "finished" and is_right(run, requirements)
 
 
 def cost_ratio(run: RunRecord) -> float:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import (
-    Demand,
+from dpbench.analysis.verdict.requirements import (
+    Requirements,
     cost_ratio,
     is_right,
     is_right_to_the_end,
@@ -20,7 +20,7 @@ from dpbench.analysis.verdict.verdict import verdicts_of
 LIMIT = 0.0078125
 """Limit of `error_move`: 2⁻⁷, which every table stores exactly."""
 BEYOND = math.nextafter(LIMIT, 1.0)
-DEMAND = Demand(error_move=LIMIT, failed_steps=2)
+REQUIREMENTS = Requirements(error_move=LIMIT, failed_steps=2)
 
 
 def only_run(records: Any) -> RunRecord:
@@ -32,48 +32,48 @@ def only_run(records: Any) -> RunRecord:
 
 @pytest.mark.parametrize(("error", "right"), [(LIMIT, True), (BEYOND, False), (math.inf, False)])
 @pytest.mark.parametrize("mode", ["loop", "replay"])
-def test_an_error_at_the_demand_is_right(
+def test_an_error_at_the_requirements_is_right(
     mode: str, error: float, right: bool, records: Any
 ) -> None:
     """An error equal to the limit passes, in closed loop and in replay."""
     getattr(records, mode)("daqp", error=error)
-    assert is_right(only_run(records), DEMAND) is right
+    assert is_right(only_run(records), REQUIREMENTS) is right
 
 
 @pytest.mark.parametrize(("failed", "right"), [(2, True), (3, False)])
 def test_as_many_failed_steps_as_allowed_are_right(failed: int, right: bool, records: Any) -> None:
     """A count equal to the limit passes, one more fails."""
     records.loop("daqp", failed=failed)
-    assert is_right(only_run(records), DEMAND) is right
+    assert is_right(only_run(records), REQUIREMENTS) is right
 
 
 @pytest.mark.parametrize(
-    ("loop", "replay", "outcome"),
+    ("loop", "replay", "state"),
     [
-        ({"error": LIMIT}, {"error": LIMIT}, "meets"),
-        ({"error": BEYOND}, {}, "misses"),
-        ({}, {"error": BEYOND}, "misses"),
-        ({"failed": 2}, {"failed": 2}, "meets"),
-        ({"failed": 3}, {}, "misses"),
-        ({}, {"failed": 3}, "misses"),
+        ({"error": LIMIT}, {"error": LIMIT}, "pass"),
+        ({"error": BEYOND}, {}, "fail"),
+        ({}, {"error": BEYOND}, "fail"),
+        ({"failed": 2}, {"failed": 2}, "pass"),
+        ({"failed": 3}, {}, "fail"),
+        ({}, {"failed": 3}, "fail"),
     ],
 )
-def test_the_verdict_of_figures_at_the_demand(
-    loop: dict[str, Any], replay: dict[str, Any], outcome: str, records: Any
+def test_the_verdict_of_figures_at_the_requirements(
+    loop: dict[str, Any], replay: dict[str, Any], state: str, records: Any
 ) -> None:
     """Figures equal to a limit give no cause against a solver."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
-    (verdict,) = verdicts_of(records.view(), DEMAND).references
-    assert verdict.outcome == outcome
-    assert bool(verdict.causes) is (outcome == "misses")
+    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
+    assert verdict.state == state
+    assert bool(verdict.causes) is (state == "fail")
 
 
 def test_a_stopped_loop_is_not_right_to_the_end(records: Any) -> None:
     """A loop stopped after its last step is right, but not right to the end."""
     records.loop("daqp", outcome="timed_out")
-    assert is_right(only_run(records), DEMAND)
-    assert not is_right_to_the_end(only_run(records), DEMAND)
+    assert is_right(only_run(records), REQUIREMENTS)
+    assert not is_right_to_the_end(only_run(records), REQUIREMENTS)
 
 
 @pytest.mark.parametrize(
