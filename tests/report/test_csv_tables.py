@@ -81,7 +81,7 @@ def test_every_experiment_and_level_of_a_solver_has_a_row(written: Any) -> None:
     solvers, levels = len(facts.verdicts.of), len(facts.levels)
     assert len(table) == solvers * levels * len(facts.experiments)
     for row in table.to_dict("records"):
-        assert row["state"] == facts.state(int(row["id"]), int(row["experiment_id"]))
+        assert row["verdict"] == facts.state(int(row["id"]), int(row["experiment_id"]))
 
 
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
 
 
 TIMES = (
-    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "longest_ms"),
+    *("id", "solver", "label", "verdict", "p50_ms", "p99_ms", "max_ms", "longest_ms"),
     *("replay_p99_ms", "raw_p99_ms", "margin", "share"),
 )
 """`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
@@ -100,7 +100,7 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "id": str(matrix.index(verdict.configuration)),
             "solver": verdict.configuration.solver,
             "label": verdict.configuration.label,
-            "state": verdict.state,
+            "verdict": verdict.state,
             "p50_ms": verdict.p50_ns / 1e6,
             "p99_ms": verdict.p99_ns / 1e6,
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
@@ -145,7 +145,7 @@ def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
         "settings": wanted.settings,
         "call_mode": f"{wanted.route} {wanted.policy}",
         "experiment": matrix.experiments[p].label,
-        "state": matrix.state(c, p),
+        "verdict": matrix.state(c, p),
         "error": None if run is None else run.error_move_max,
         "failed": None if run is None else run.failed_steps,
         "id": str(c),
@@ -180,7 +180,7 @@ def _point(
         "error": point.error_move,
         "p50_us": point.p50_ns / 1e3,
         "p99_us": point.p99_ns / 1e3,
-        "state": states.get(judged, "not judged"),
+        "verdict": states.get(judged, "not judged"),
     }
 
 

@@ -11,7 +11,7 @@ from dpbench.report.charts import style
 
 COLUMNS = (
     *("id", "solver", "family", "settings", "route", "policy"),
-    *("error", "p50_us", "p99_us", "state"),
+    *("error", "p50_us", "p99_us", "verdict"),
 )
 FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
 """How full a point is, by what is said of its configuration."""
@@ -19,7 +19,7 @@ _LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.
 _COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Of each legend: three of them stand side by side on a phone."""
 _FIGURES = (
-    style.tip("state:N", "verdict"),
+    "verdict:N",
     style.tip("error:Q", digits=2),
     style.tip("p50_us:Q", "p50 [µs]"),
     style.tip("p99_us:Q", "p99 [µs]"),
@@ -28,8 +28,8 @@ _FIGURES = (
 
 def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
     """Points of time and largest error, filled where the solver passes, pale where it is
-    inconclusive and hollow where it fails or is late, if only elsewhere; lines join the settings of a solver.
-    Clicking sets `pick`.
+    inconclusive and hollow where it fails or is late, if only elsewhere; lines join the settings
+    of a solver. Clicking sets `pick`.
 
     The parameter `percentile` chooses p50 or p99.
 
@@ -39,7 +39,7 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
     """
     table = table.assign(
         shown=table["error"].clip(lower=style.FLOOR),
-        full=[FULL.get(state, FULL["inconclusive"]) for state in table["state"]],
+        full=[FULL.get(state, FULL["inconclusive"]) for state in table["verdict"]],
     )
     percentile = alt.param(name="percentile", value="p50")
     pick = style.picking("id")

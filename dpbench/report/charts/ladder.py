@@ -23,9 +23,9 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 def _state() -> str:
     """The state on the slower computer, as an expression: beyond the speed margin it is late."""
     good = " || ".join(
-        f"datum.state == '{state}'" for state in ("pass", "borderline", "inconclusive")
+        f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
     )
-    return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.state"
+    return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict"
 
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:

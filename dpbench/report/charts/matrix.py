@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 COLUMNS = (
-    *("solver", "experiment", "settings", "call_mode", "state"),
+    *("solver", "experiment", "settings", "call_mode", "verdict"),
     *("error", "failed", "id", "experiment_id", "detail"),
 )
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
@@ -58,7 +58,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
     x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
-    titles = {"experiment": "in", "state": "verdict"}
+    titles = {"experiment": "in", "verdict": "verdict"}
     titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
     titled = (style.tip(f"{field}:N", title) for field, title in titles.items())
     tips = ["solver:N", style.tip("call_mode:N", "call mode"), "settings:N", *titled]
@@ -78,12 +78,12 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     }
     legend |= {"columns": 3} if stacked else {}
     tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
-        color=style.coloured("state", STATES, style.FILLS, title="verdict", **legend)
+        color=style.coloured("verdict", STATES, style.FILLS, title="verdict", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
     frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
     chosen = base.transform_filter(pick).mark_rect(stroke=style.ACCENT, **frame)
-    signed = base.transform_calculate(sign=f"{signs}[datum.state]", ink=f"{inks}[datum.state]")
+    signed = base.transform_calculate(sign=f"{signs}[datum.verdict]", ink=f"{inks}[datum.verdict]")
     text = signed.mark_text(fontSize=12, fontWeight=600)
     text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
     size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if tall else 22)}

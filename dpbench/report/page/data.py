@@ -101,7 +101,7 @@ class PageData(RunMatrix):
             "c": c,
             "p": p,
             "id": run.run_id,
-            "state": self.state(c, p),
+            "verdict": self.state(c, p),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
             "infeasible": number(run.infeasible_steps),

@@ -62,9 +62,9 @@ def _matrix_text(data: PageData) -> str:
 def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
     """What who gives a solver such a QP has to know: how many then fail at their defaults."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
-    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["state"].ne("not run")]
+    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
     asked = ran[ran["settings"] == "default"]
-    failing = asked.loc[asked["state"] == "fail", "solver"].nunique()
+    failing = asked.loc[asked["verdict"] == "fail", "solver"].nunique()
     return f"; {failing} of {asked['solver'].nunique()} solvers fail there: scale the QP" * (
         failing > 0
     )

@@ -140,7 +140,7 @@ def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
     pass."""
     if len(tiles) <= MOST_TILES:
         return tiles
-    experiments = tiles.groupby("experiment", sort=False)["state"]
+    experiments = tiles.groupby("experiment", sort=False)["verdict"]
     room = max(1, MOST_TILES * len(experiments) // len(tiles))
     unmet = experiments.agg(lambda states: int((states != "pass").sum()))
     kept = unmet.sort_values(ascending=False, kind="stable").index[:room]

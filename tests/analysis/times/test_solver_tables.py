@@ -40,7 +40,7 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = tile_table(_matrix(records)).set_index(["settings", "experiment"])["state"]
+    tiles = tile_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
     assert tiles.to_dict() == {
         ("default", "paper"): "fail",
         ("default", "calm"): "fail",

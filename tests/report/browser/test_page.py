@@ -347,7 +347,7 @@ def test_the_verdict_is_that_of_the_slower_computer(opened: Any) -> None:
     settled(page)
     assert selection(page)["slow"] == "100"
     rows = page.evaluate("rowsDrawn('ladder').values")
-    right = [row for row in rows if row["state"] == "pass"]
+    right = [row for row in rows if row["verdict"] == "pass"]
     meet = [row for row in right if row["margin"] >= 100]
     assert 0 < len(meet) < len(right) < len(rows)
     said = page.inner_text("#slow-kept")
@@ -388,7 +388,7 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
         margin = facts.margin(facts.configurations[int(row["id"])])
         assert margin is not None and margin.factor == pytest.approx(row["margin"])
         bounds[int(row["id"])] = margin.factor
-    right = [row for row in drawn if row["state"] == "pass"]
+    right = [row for row in drawn if row["verdict"] == "pass"]
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
     said = page.inner_text("#slow-kept")
     assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in said

@@ -11,7 +11,7 @@ function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   const own = margin === null ? "" : `${C().solver[state.c]}: ${
     margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
-  const which = (...states) => rowsDrawn("ladder").values.filter((row) => states.includes(row.state));
+  const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
   const safe = right.filter((row) => state.slow <= 1 || row.margin >= state.slow).sort((a, b) => b.margin - a.margin);

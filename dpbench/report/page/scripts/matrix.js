@@ -10,7 +10,7 @@ function tiles() {
     const c = all().find((i) => C().solver[i] === row.solver && callMode(i) === wanted
       && C().settings[i] === row.settings) ?? -1;
     const run = cell(c, Number(row.experiment_id));
-    return { ...row, call_mode: wanted.replace("-", " "), id: String(c), state: run?.state ?? "not run", error: run?.error ?? null,
+    return { ...row, call_mode: wanted.replace("-", " "), id: String(c), verdict: run?.verdict ?? "not run", error: run?.error ?? null,
       failed: run?.failed ?? null, detail: run?.why ?? "" };
   });
 }

@@ -78,7 +78,7 @@ async function drawOne() {
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
   const experiment = facts.experiments[state.p], judged = C().verdict[state.c] !== "not judged";
-  const verdict = { pass: "Passes", borderline: "Borderline", late: "Late", fail: "Fails" }[run.state] ?? "Inconclusive";
+  const verdict = { pass: "Passes", borderline: "Borderline", late: "Late", fail: "Fails" }[run.verdict] ?? "Inconclusive";
   text.textContent = [
     `${experiment.study ? "In" : `${verdict} in`} ${experiment.label}: ran ${run.steps} of ${run.planned} steps; `
     + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; said “solved” `
@@ -86,7 +86,7 @@ async function drawOne() {
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
-    run.why && run.state !== "pass" ? `${run.outcome}: ${run.why}.` : "",
+    run.why && run.verdict !== "pass" ? `${run.outcome}: ${run.why}.` : "",
     judged ? `Over all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
