@@ -71,12 +71,12 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         )
         .encode(x=x, y=y, tooltip=tips)
     )
-    # One below the other the tiles are narrower than five words side by side.
+    # One below the other the tiles are narrower than three words side by side.
     legend: dict[str, Any] = {
         "symbolType": "square",
         "labelExpr": f"{signs}[datum.label] + ' ' + datum.label",
     }
-    legend |= {"columns": 3} if stacked else {}
+    legend |= {"columns": 2} if stacked else {}
     tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
         color=style.coloured("verdict", STATES, style.FILLS, title="verdict", **legend)
     )
@@ -97,4 +97,4 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
-    return style.styled(chart, "Where each solver holds", about)
+    return style.styled(chart, "Verdicts by scenario and replay", about)
