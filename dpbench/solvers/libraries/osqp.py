@@ -148,7 +148,7 @@ class OsqpWorkspace(NativeWorkspace):
         self._fill(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._advanced():
+        if self._has_start():
             self._solver.warm_start(self._start.z, self._start.dual)
 
     def _claimed(self) -> Claim:

@@ -92,7 +92,7 @@ class QpalmWorkspace(NativeWorkspace):
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._advanced():
+        if self._has_start():
             solver.warm_start(self._start.z, self._start.dual)
 
     def _call(self) -> None:

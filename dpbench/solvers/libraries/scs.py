@@ -117,7 +117,7 @@ class ScsWorkspace(OneSidedWorkspace):
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         super()._hand_over(q, low, high)
-        if self._advanced():
+        if self._has_start():
             self._place_start()
 
     def _send(self) -> None:

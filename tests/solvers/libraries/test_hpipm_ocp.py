@@ -65,7 +65,8 @@ class Staged:
             rows.append(mixed)
         self._A = np.array(rows)
         step = self.step()
-        self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub)
+        sizes = ((0, n_u), *[(n_x, n_u)] * stages)
+        self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub, stages=sizes)
 
     def step(self) -> QPStep:
         """Another cost and other limits around a point within the bounds; one side may be open."""
