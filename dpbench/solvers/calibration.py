@@ -18,8 +18,8 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step, not_set_up
-from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
+from dpbench.solvers.contract import Workspace, check_step, missing_setup_error
+from dpbench.solvers.record import NO_PROJECT_FACTS, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
@@ -52,7 +52,7 @@ def _record(name: str, method: str) -> SolverRecord:
             )
         },
         levels={},
-        project=NOT_STATED,
+        project=NO_PROJECT_FACTS,
     )
 
 
@@ -84,7 +84,7 @@ class NoOp(Workspace):
     def read(self) -> Solution:
         """Return the stored object: unlike a solver's, not in memory of its own."""
         if self._answer is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return self._answer
 
 
@@ -119,7 +119,7 @@ class CopyOnly(Workspace):
     def update(self, step: QPStep) -> None:
         """Check the shapes and copy q, l, u."""
         if self._size is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, *self._size)
         self.q[:] = step.q
         self.l[:] = step.l
@@ -131,7 +131,7 @@ class CopyOnly(Workspace):
     def read(self) -> Solution:
         """Copy an answer that is none."""
         if self._size is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 

@@ -10,7 +10,7 @@ from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, missing_setup_error
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
@@ -32,7 +32,7 @@ class FunctionWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Copy the problem with what `step` changes."""
         if self._qp is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._qp.n, self._qp.m)
         self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))

@@ -32,17 +32,17 @@ from typing import Any, get_args
 
 from dpbench.errors import InputError, renamed
 from dpbench.files.writing import is_file_name
-from dpbench.solvers.adapter import NativeAdapter, Opened
+from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import Form, Options, Policy, Workspace
 from dpbench.solvers.record import (
-    NOT_STATED,
+    NO_PROJECT_FACTS,
     Build,
     Family,
     Levels,
     Project,
     RouteRecord,
     SolverRecord,
-    unread,
+    unknown_build,
 )
 
 GROUP = "dpbench.solvers"
@@ -88,9 +88,9 @@ def solver_record(
     form: Form = "dense",
     distribution: str = "",
     module: str = "",
-    project: Project = NOT_STATED,
+    project: Project = NO_PROJECT_FACTS,
     needs_strict_convexity: bool = False,
-    build: Callable[[], Build] = unread,
+    build: Callable[[], Build] = unknown_build,
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
@@ -284,7 +284,7 @@ def _levels_of(where: str, module: Any, record: SolverRecord) -> Levels:
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 
-def _opened_by(opener: Callable[[Policy, Options], Workspace]) -> Opened:
+def _opened_by(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)
         if not isinstance(workspace, Workspace):

@@ -32,9 +32,9 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
-    target = None if adapter.settings_object is None else adapter.settings_object()
-    if adapter.option_names is not None:
-        check_names(name, settings, adapter.option_names())
+    target = None if adapter.make_settings is None else adapter.make_settings()
+    if adapter.list_options is not None:
+        check_names(name, settings, adapter.list_options())
     elif target is not None:
         check_names(name, settings, attributes(target))
     if target is not None:

@@ -197,7 +197,7 @@ def test_a_plugin_runs_in_an_isolated_process():
     """In a process of its own a plug-in is loaded, isolated from the libraries, and solves."""
     program = f"""
 import sys
-from dpbench.solvers.isolation import isolate
+from dpbench.solvers.table import isolate
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, load_solver_module
 load_solver_module({str(EXAMPLE)!r})

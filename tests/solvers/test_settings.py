@@ -213,7 +213,7 @@ def test_an_unknown_name_is_refused(installed):
 def test_names_written_down_are_the_librarys(solver, sequence):
     """Each name that had to be written down is taken by the library, one at a time."""
     values = WRITTEN_DOWN[solver]
-    assert sorted(values) == sorted(THROUGH_QPSOLVERS[solver].option_names())
+    assert sorted(values) == sorted(THROUGH_QPSOLVERS[solver].list_options())
     for key, value in values.items():
         answer = solve(solver, {key: value}, sequence.base)
         assert answer.status is Status.SOLVED, f"{key}: {answer.detail}"

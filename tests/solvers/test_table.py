@@ -17,10 +17,16 @@ import pytest
 import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
 from dpbench.solvers import table
-from dpbench.solvers.isolation import isolate
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available, qpsolvers_adapter, record, solver_names
+from dpbench.solvers.table import (
+    TABLE,
+    available,
+    isolate,
+    qpsolvers_adapter,
+    record,
+    solver_names,
+)
 
 NATIVE_ONLY = [
     "hpipm",
@@ -83,7 +89,7 @@ def test_names_are_those_of_qpsolvers(installed):
     import qpsolvers
 
     if "qpsolvers" in record(installed).routes:
-        assert qpsolvers_adapter(installed).called in qpsolvers.available_solvers
+        assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
 
 
 def test_an_available_solver_has_the_version_of_its_distribution(installed):
@@ -211,7 +217,7 @@ def test_an_isolated_process_loads_one_library(solver):
     """After isolation a fresh process solves with its solver and has loaded no other one."""
     program = f"""
 import sys
-from dpbench.solvers.isolation import isolate
+from dpbench.solvers.table import isolate
 from dpbench.solvers.open import open_workspace
 import numpy as np
 from dpbench.qp.program import QuadraticProgram

@@ -15,7 +15,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, found_is_all
+from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, read_found
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 from dpbench.solvers.record import (
@@ -24,7 +24,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
 RECORD = SolverRecord(
@@ -56,7 +56,7 @@ RECORD = SolverRecord(
     # dual_tol stays at DAQP's own 1e-12, which is tighter.
     # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
     levels=by_tolerance("primal_tol", "eta_prox"),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "DAQP, metadata of its distribution"),
         language=("C, library-free", "DAQP README"),
         c_code=("yes, it writes its workspace as C", "DAQP source, codegen"),
@@ -73,13 +73,13 @@ DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}
 STARTS = {"primal_start", "dual_start"}
 
 
-def option_names() -> list[str]:
+def list_options() -> list[str]:
     """List the keywords of `daqp.solve` that are neither data nor a start."""
     names = inspect.signature(import_module("daqp").solve).parameters
     return [name for name in names if name not in DATA | STARTS]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", found_is_all, option_names)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", read_found, list_options)
 
 
 STATUS = {
@@ -183,12 +183,12 @@ class DaqpWorkspace(NativeWorkspace):
         reported_ns = int(info["solve_time"] * 1e9)
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         z, _, _, info = self._result
         if z is None:
             return None

@@ -21,7 +21,7 @@ from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
 from dpbench.solvers.one_sided import Sides
-from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
 TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
@@ -83,7 +83,7 @@ RECORD = SolverRecord(
     # It meets equalities by a Schur complement by default, which takes a positive definite cost;
     # by the null space (0) it takes any convex one.
     levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "HPIPM source, head of each file"),
         language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
         c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
@@ -222,7 +222,7 @@ class HpipmWorkspace(NativeWorkspace):
     def _call(self) -> None:
         self._parts.solve()
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         return self._parts.outcome()
 
 
@@ -316,7 +316,7 @@ class DenseWorkspace(HpipmWorkspace):
     def _place_start(self) -> None:
         self._library.d_dense_qp_sol_set_v(pointer(self._start.z), self._parts.sol)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:
             function(sol, address)

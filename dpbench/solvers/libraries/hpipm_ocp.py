@@ -349,7 +349,7 @@ class OcpWorkspace(HpipmWorkspace):
         self._start.z.take(self._data.order, out=self._z)
         self._set(*self._pieces, self._parts.sol)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)

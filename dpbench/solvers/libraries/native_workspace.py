@@ -26,7 +26,7 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    missing_setup_error,
     shift_into,
     words_of,
 )
@@ -86,11 +86,11 @@ class NativeWorkspace(Workspace):
         self._result = self._solver.solve()
 
     @abstractmethod
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         """Read the library's claim about its last answer."""
 
     @abstractmethod
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         """Return z, y and y_box of a usable answer in new memory; None if there are none."""
 
     def _configure(self, settings: Any) -> None:
@@ -145,7 +145,7 @@ class NativeWorkspace(Workspace):
         """Hand over the vectors; for new matrices make the library object anew."""
         n, m = self._n, self._m
         if n < 0:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         q, low, high = step.q, step.l, step.u
         matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
@@ -196,15 +196,15 @@ class NativeWorkspace(Workspace):
     def read(self) -> Solution:
         """Return the answer; after an unusable one the next update starts from nothing."""
         if self._n < 0:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         if self._failure:
             self._unread = False
             return self._missing(Status.ERROR, -1, -1, self._failure)
         if not self._done:
             return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
-        status, iterations, reported_ns, detail = self._claimed()
+        status, iterations, reported_ns, detail = self._read_claim()
         detail = "" if status is SOLVED else detail
-        point = self._point() if status.usable else None
+        point = self._read_point() if status.usable else None
         if point is None:
             solution = self._missing(status, iterations, reported_ns, detail)
         else:

@@ -14,7 +14,7 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
 from dpbench.solvers.record import (
@@ -25,7 +25,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
 
@@ -64,7 +64,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={**_LEVELS, **_POLISHED},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "OSQP, metadata of its distribution"),
         language=("C, library-free", "OSQP web site, Features"),
         c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
@@ -90,10 +90,10 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-tell = told(STATUS, 1e9, number=lambda info: int(info.status_val))
+read_info = info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
-def settings_object() -> Any:
+def make_settings() -> Any:
     """OSQP's settings at their defaults."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
@@ -105,8 +105,8 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    with_setup(tell),
-    settings_object=settings_object,
+    status_reader(read_info),
+    make_settings=make_settings,
     fixed={"raise_error": False},
 )
 
@@ -135,7 +135,7 @@ class OsqpWorkspace(NativeWorkspace):
         np.minimum(high, INFINITY, out=self._high_rows)
 
     def _build(self) -> None:
-        settings = settings_object()
+        settings = make_settings()
         settings.verbose, settings.warm_starting = False, self._warm
         self._configure(settings)
         self._fill(self._l, self._u)
@@ -151,14 +151,14 @@ class OsqpWorkspace(NativeWorkspace):
         if self._has_start():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         info = self._solver.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         solution, m = self._solver.solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(OsqpWorkspace)

@@ -15,14 +15,14 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -52,7 +52,7 @@ RECORD = SolverRecord(
         eps_duality_gap_rel=0.0,
         max_iter=1000,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "PIQP README, Features"),
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
@@ -68,10 +68,10 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-tell = told(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
+read_info = info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
-def settings_object() -> Any:
+def make_settings() -> Any:
     """PIQP's settings at their defaults."""
     return import_module("piqp").DenseSolver().settings
 
@@ -79,8 +79,8 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    with_setup(tell),
-    settings_object=settings_object,
+    status_reader(read_info),
+    make_settings=make_settings,
 )
 
 
@@ -142,12 +142,12 @@ class PiqpWorkspace(NativeWorkspace):
             return
         self._build_for(q, low, high)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         self._result = self._solver.result
         info = self._result.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -166,6 +166,6 @@ class MultistageWorkspace(PiqpWorkspace):
         return solver
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(PiqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(PiqpWorkspace)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)
 NATIVE_MULTISTAGE = replace(NATIVE, record=MULTISTAGE, workspace=MultistageWorkspace)

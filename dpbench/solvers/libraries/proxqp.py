@@ -32,8 +32,8 @@ from dpbench.solvers.adapter import (
     NativeAdapter,
     QpsolversAdapter,
     attributes,
-    told,
-    with_setup,
+    info_reader,
+    status_reader,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
@@ -42,7 +42,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -72,7 +72,7 @@ RECORD = SolverRecord(
         check_duality_gap=True,
         eps_duality_gap_rel=0.0,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
     ),
@@ -88,7 +88,7 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-tell = told(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
+read_info = info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
@@ -99,7 +99,7 @@ def keywords() -> list[str]:
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", with_setup(tell), keywords)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", status_reader(read_info), keywords)
 
 
 SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
@@ -168,14 +168,14 @@ class ProxqpWorkspace(NativeWorkspace):
             for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
                 shift_into(part, part.copy(), by)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         self._result = self._solver.results
         info = self._result.info
-        claimed = tell(info, info.solve_time, self._options)
+        claimed = read_info(info, info.solve_time, self._options)
         self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
@@ -185,15 +185,15 @@ class ProxqpWorkspace(NativeWorkspace):
         self._shiftable = True
 
 
-def settings_object() -> Any:
+def make_settings() -> Any:
     """ProxQP's settings at their defaults."""
     return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
 
 
-def option_names() -> list[str]:
+def list_options() -> list[str]:
     """Its settings but the initial guess, which the policy decides."""
-    return [name for name in attributes(settings_object()) if name != "initial_guess"]
+    return [name for name in attributes(make_settings()) if name != "initial_guess"]
 
 
-NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, option_names, settings_object)
+NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, list_options, make_settings)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)

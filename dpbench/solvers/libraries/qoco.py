@@ -11,7 +11,7 @@ import scipy.sparse
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="qoco",
@@ -30,7 +30,7 @@ RECORD = SolverRecord(
         )
     },
     levels=by_tolerance("abstol", "reltol", max_iters=500),
-    project=stated(
+    project=project_facts(
         licence=("BSD-3-Clause", "QOCO README, License"),
         language=("C", "QOCO documentation"),
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
@@ -87,19 +87,19 @@ class QocoWorkspace(OneSidedWorkspace):
     def _call(self) -> None:
         self._solver._solver.solve()
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)
 
 
-def settings_object() -> Any:
+def make_settings() -> Any:
     """QOCO's settings at their defaults."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
@@ -107,4 +107,4 @@ def settings_object() -> Any:
     return settings
 
 
-NATIVE = NativeAdapter(RECORD, QocoWorkspace, settings_object=settings_object)
+NATIVE = NativeAdapter(RECORD, QocoWorkspace, make_settings=make_settings)

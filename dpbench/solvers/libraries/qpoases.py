@@ -19,7 +19,7 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, project_facts
 
 RECORD = SolverRecord(
     name="qpoases",
@@ -42,7 +42,7 @@ RECORD = SolverRecord(
         )
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
         language=("C++", "qpOASES manual, Introduction"),
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
@@ -105,7 +105,7 @@ class QpoasesWorkspace(NativeWorkspace):
     def _call(self) -> None:
         self._trigger()
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
@@ -113,7 +113,7 @@ class QpoasesWorkspace(NativeWorkspace):
             return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         # Where it says no more than that it failed, its x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
             return None
@@ -121,10 +121,10 @@ class QpoasesWorkspace(NativeWorkspace):
         return outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
 
 
-def option_names() -> list[str]:
+def list_options() -> list[str]:
     """List qpOASES's options as casadi documents them."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 
 
-NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, option_names)
+NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, list_options)

@@ -21,7 +21,7 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    missing_setup_error,
     shift_into,
     words_of,
 )
@@ -44,7 +44,7 @@ class QpsolversWorkspace(Workspace):
         super().__init__(adapter.record.name, "qpsolvers", policy)
         self.form = adapter.record.form
         self._adapter = adapter
-        self._name = adapter.called
+        self._name = adapter.qpsolvers_key
         self._options: dict[str, Any] = {**adapter.fixed, **options}
         self._base: QuadraticProgram | None = None
         self._answer: Any = None
@@ -71,7 +71,7 @@ class QpsolversWorkspace(Workspace):
         """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
         base = self._base
         if base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
             self._start = self._shifted_start(base.block)
@@ -115,7 +115,7 @@ class QpsolversWorkspace(Workspace):
     def read(self) -> Solution:
         """Return the answer with its multipliers mapped to the two-sided problem."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         self._last, self._unread = None, False
         answer = self._answer

@@ -14,7 +14,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, project_facts
 
 RECORD = SolverRecord(
     name="quadprog",
@@ -33,7 +33,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
         language=("C, from Fortran", "quadprog, its source"),
     ),
@@ -107,12 +107,12 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result
@@ -120,4 +120,4 @@ class QuadprogWorkspace(OneSidedWorkspace):
         return z.copy(), *self._form.two_sided(dual[count:], -dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(QuadprogWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(QuadprogWorkspace)

@@ -16,7 +16,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="scs",
@@ -37,7 +37,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
@@ -138,15 +138,15 @@ class ScsWorkspace(OneSidedWorkspace):
         else:
             self._result = self._solver.solve(False)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         info = self._result["info"]
         return claimed(info, info["solve_time"])
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)
         return z, *self._form.two_sided(y[count:], y[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(ScsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(ScsWorkspace)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
@@ -25,7 +25,7 @@ PAPER_ACTIVE_SET = SolverRecord(
         )
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "dpbench, pyproject.toml"),
         language=("Python, compiled by Numba", "dpbench, source"),
     ),

@@ -13,7 +13,7 @@ import scipy.linalg
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
 
 
 class Unconstrained(Workspace):
@@ -37,7 +37,7 @@ class Unconstrained(Workspace):
     def update(self, step: QPStep) -> None:
         """Take over q; new matrices are factorised again."""
         if self._base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._base.n, self._base.m)
         if step.refresh is Refresh.VECTORS:
             self._q[:] = step.q
@@ -54,7 +54,7 @@ class Unconstrained(Workspace):
     def read(self) -> Solution:
         """Return the law's answer, which claims nothing: UNKNOWN, zero multipliers."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
             return Solution.missing(n, m, Status.ERROR, "P is not positive definite")

@@ -26,7 +26,7 @@ def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
     """A start changes something if and only if the table offers the policy `warm`."""
     adapter = THROUGH_QPSOLVERS[solver]
     row = adapter.record
-    name = adapter.called
+    name = adapter.qpsolvers_key
     form = OneSidedForm(sequence.base, row.form, adapter.box)
     form.fill(sequence.base.q, sequence.base.l, sequence.base.u)
     qp = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
