@@ -84,7 +84,7 @@ from dpbench.solvers.own.active_set.layout import (
 )
 from dpbench.solvers.own.active_set.start import begin
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.safeguards.proof import contradicts
+from dpbench.solvers.own.proof import contradicts
 
 
 @compiled

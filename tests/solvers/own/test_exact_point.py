@@ -16,7 +16,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own import paper_active_set
-from dpbench.solvers.own.safeguards.exact_point import LARGEST, error_bound, is_regular
+from dpbench.solvers.own.exact_point import LARGEST, error_bound, is_regular
 
 INF = np.inf
 

@@ -13,7 +13,7 @@ from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.safeguards.proof import contradicts
+from dpbench.solvers.own.proof import contradicts
 
 INF = np.inf
 RULES = {"deadline": None, "derandomize": True, "database": None}

@@ -10,8 +10,7 @@ from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.safeguards.pinned import determined
-from dpbench.solvers.own.safeguards.proof import contradicts
+from dpbench.solvers.own.proof import contradicts, determined
 
 INF = np.inf
 

@@ -197,7 +197,7 @@ def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", ["hildreth", "active_set.pricing", "active_set.changed_rows"])
+@pytest.mark.parametrize("first", ["hildreth", "active_set.factor", "active_set.check"])
 def test_compiled_code_on_disk_is_used_whatever_was_imported_before(first):
     """Its mark tells nothing of the order of imports, nor of kernels that it does not call."""
     program = f"""
