@@ -10,6 +10,8 @@ import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from inspect import signature
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from dpbench.errors import DpbenchError
@@ -152,6 +154,12 @@ def attributes(settings: Any) -> list[str]:
     """List the settings of an object that has them as attributes."""
     names = (name for name in dir(settings) if not name.startswith("_"))
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
+
+
+def keywords(module: str, name: str, *besides: str) -> list[str]:
+    """List the keywords of a function or class of a library, but for some."""
+    function = attrgetter(name)(import_module(module))
+    return [key for key in signature(function).parameters if key not in besides]
 
 
 def adapters_in(

@@ -55,15 +55,15 @@ STATUS = {
 }
 
 
-def claimed(status: Any, iterations: int, solve_s: float) -> Claim:
-    """Read Clarabel's claim; it counts its set-up in the time it reports."""
+def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
+    """Make Clarabel's claim; the time it reports includes its set-up."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Status and time; qpsolvers drops the iterations."""
-    return claimed(answer.extras["status"], -1, answer.extras["solve_time"])
+    """Read status and time; qpsolvers drops the iterations."""
+    return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
 
 
 def make_settings() -> Any:
@@ -101,7 +101,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
 
     def _read_claim(self) -> Claim:
         result = self._result
-        return claimed(result.status, int(result.iterations), result.solve_time)
+        return make_claim(result.status, int(result.iterations), result.solve_time)
 
     def _read_point(self) -> Point:
         dual, count = np.array(self._result.z), self._equalities

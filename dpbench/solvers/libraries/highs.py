@@ -1,7 +1,4 @@
-"""HiGHS: two-sided, vectors changed in its model, no start.
-
-Behind qpsolvers, which passes on whether an answer was found and nothing else.
-"""
+"""HiGHS: two-sided, vectors changed in its model, no start."""
 
 from __future__ import annotations
 
@@ -80,17 +77,10 @@ STATUS = {
     "kUnboundedOrInfeasible": Status.PRIMAL_INFEASIBLE,
     "kIterationLimit": Status.MAX_ITERATIONS,
     "kTimeLimit": Status.TIME_LIMIT,
-    "kLoadError": Status.ERROR,
-    "kModelError": Status.ERROR,
-    "kPresolveError": Status.ERROR,
     "kSolveError": Status.NUMERICAL_ERROR,
-    "kPostsolveError": Status.ERROR,
-    "kMemoryLimit": Status.ERROR,
-    "kInterrupt": Status.ERROR,
-    "kHighsInterrupt": Status.ERROR,
-    "kUnknown": Status.UNKNOWN,
-    "kNotset": Status.UNKNOWN,
 }
+_ERRORS = "LoadError ModelError PresolveError PostsolveError MemoryLimit Interrupt HighsInterrupt"
+STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 
 
 class HighsWorkspace(NativeWorkspace):

@@ -1,7 +1,4 @@
-"""OSQP: its extension module, vectors updated, start given or cold, data copied by it.
-
-Status values of its C library, time in seconds.
-"""
+"""OSQP: its extension module, vectors updated, start given or cold; time in seconds."""
 
 from __future__ import annotations
 
@@ -28,20 +25,14 @@ from dpbench.solvers.record import (
     project_facts,
 )
 
-
-def build() -> Build:
-    """Read the linear algebra it takes when none is asked for."""
-    return Build(f"algebra {import_module('osqp').default_algebra()}")
-
-
-# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+# OSQP 1.x adapts ρ by iterations by default, earlier releases did by the clock.
 _LEVELS = by_tolerance(
     "eps_abs",
     eps_rel=0.0,
     max_iter=200_000,
     always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
 )
-# Polishing is a second algorithm whose failures are silent, so it has names of its own.
+# Polishing is a second algorithm with silent failures, so it has names of its own.
 _POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
 
 RECORD = SolverRecord(
@@ -74,7 +65,7 @@ RECORD = SolverRecord(
             "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
         ),
     ),
-    build=build,
+    build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )
 
@@ -94,7 +85,7 @@ read_info = info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
 def make_settings() -> Any:
-    """OSQP's settings at their defaults."""
+    """Return OSQP's settings at their defaults."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
     library.osqp_set_default_settings(settings)

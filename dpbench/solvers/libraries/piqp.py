@@ -1,7 +1,4 @@
-"""PIQP, dense, sparse or by stages: vectors updated, no start.
-
-Its status enumeration, time in seconds.
-"""
+"""PIQP, dense, sparse or by stages: vectors updated, no start; time in seconds."""
 
 from __future__ import annotations
 
@@ -72,7 +69,7 @@ read_info = info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=
 
 
 def make_settings() -> Any:
-    """PIQP's settings at their defaults."""
+    """Return PIQP's settings at their defaults."""
     return import_module("piqp").DenseSolver().settings
 
 
@@ -95,8 +92,8 @@ MULTISTAGE = replace(
 class PiqpWorkspace(NativeWorkspace):
     """PIQP with rows as h_l ≤ G x ≤ h_u, those with l = u as A x = b, and bounds as bounds.
 
-    A row with l = u leaves an interior-point method no interior, so which rows are equalities is
-    asked at every step; another pattern makes the library object anew.
+    A row with l = u leaves an interior-point method no interior, so another pattern of equalities
+    makes the library object anew.
     """
 
     def _convert(self) -> None:
@@ -110,9 +107,8 @@ class PiqpWorkspace(NativeWorkspace):
         )
 
     def _library_object(self) -> Any:
-        """Make an object of the library at its defaults."""
-        library = self._library
-        return library.SparseSolver() if self.form == "csc" else library.DenseSolver()
+        kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
+        return getattr(self._library, kind)()
 
     def _build(self) -> None:
         if (self._l == self._u).tobytes() != self._pattern:
@@ -128,7 +124,7 @@ class PiqpWorkspace(NativeWorkspace):
         self._solver = solver
 
     def _limits(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """Return the limits of the rows in the library's words."""
+        """Return the limits of the rows by the library's keywords."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}

@@ -43,7 +43,6 @@ STATUS = {
     "QOCO_SOLVED_INACCURATE": Status.INACCURATE,
     "QOCO_NUMERICAL_ERROR": Status.NUMERICAL_ERROR,
     "QOCO_MAX_ITER": Status.MAX_ITERATIONS,
-    "QOCO_UNSOLVED": Status.UNKNOWN,
 }
 
 
@@ -60,22 +59,9 @@ class QocoWorkspace(OneSidedWorkspace):
         inequalities = 0 if form.h is None else form.h.size
         equalities = 0 if form.b is None else form.b.size
         self._solver = self._library.QOCO()
-        self._solver.setup(
-            self._n,
-            inequalities,
-            equalities,
-            P,
-            form.q,
-            A,
-            form.b,
-            G,
-            form.h,
-            inequalities,
-            0,
-            None,
-            verbose=0,
-            **self._options,
-        )
+        data = P, form.q, A, form.b, G, form.h
+        sizes, cones = (self._n, inequalities, equalities), (inequalities, 0, None)
+        self._solver.setup(*sizes, *data, *cones, verbose=0, **self._options)
         # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
         # qoco 0.3 never frees; its own `solve()` looks 14 times.
         self._result = self._solver._solver.solution
@@ -100,7 +86,7 @@ class QocoWorkspace(OneSidedWorkspace):
 
 
 def make_settings() -> Any:
-    """QOCO's settings at their defaults."""
+    """Return QOCO's settings at their defaults."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
     library.set_default_settings(settings)

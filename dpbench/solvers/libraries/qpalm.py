@@ -1,7 +1,4 @@
-"""QPALM: two-sided, vectors updated, start given or cold.
-
-Status texts of its C library, time in seconds.
-"""
+"""QPALM: two-sided, vectors updated, start given or cold; time in seconds."""
 
 from __future__ import annotations
 

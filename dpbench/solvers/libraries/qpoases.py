@@ -1,8 +1,8 @@
 """qpOASES through casadi's buffer interface: two-sided, hot start from the working set it keeps.
 
-Memory that casadi takes back is handed out again as it was left, so nothing but a new function
-object starts from nothing; building one takes some milliseconds. The working set belongs to the
-homotopy from the previous problem to the next and is not shifted.
+casadi reuses memory as it was left, so only a new function object starts from nothing; building one
+takes some milliseconds. The working set belongs to the homotopy from the previous problem to the
+next and is not shifted.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ RECORD = SolverRecord(
 # casadi's unified return status.
 STATUS = {
     0: Status.SOLVED,
-    1: Status.UNKNOWN,
     2: Status.MAX_ITERATIONS,  # "limited": working set recalculations or time
     3: Status.NUMERICAL_ERROR,  # NaN
     4: Status.PRIMAL_INFEASIBLE,
@@ -63,25 +62,19 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 
 class QpoasesWorkspace(NativeWorkspace):
-    """qpOASES looking at buffers of ours; a solve after the first is a hot start."""
+    """qpOASES on buffers of the workspace; a solve after the first is a hot start."""
 
     def _convert(self) -> None:
         n, m = self._n, self._m
         self._inputs = {
             "h": np.asfortranarray(self._P).ravel("K"),
             "a": np.asfortranarray(self._A).ravel("K"),
-            "g": np.empty(n),
-            "lba": np.empty(m),
-            "uba": np.empty(m),
+            **{name: np.empty(size) for name, size in (("g", n), ("lba", m), ("uba", m))},
             "lbx": self._lb,
             "ubx": self._ub,
         }
-        self._outputs = {
-            "x": np.empty(n),
-            "cost": np.empty(1),
-            "lam_a": np.empty(m),
-            "lam_x": np.empty(n),
-        }
+        outputs = ("x", n), ("cost", 1), ("lam_a", m), ("lam_x", n)
+        self._outputs = {name: np.empty(size) for name, size in outputs}
 
     def _build(self) -> None:
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
@@ -109,12 +102,12 @@ class QpoasesWorkspace(NativeWorkspace):
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
-            # It calls a problem with NaN solved, and starts all later ones from there.
+            # It reports a problem with NaN as solved, and starts all later ones from there.
             return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
     def _read_point(self) -> Point | None:
-        # Where it says no more than that it failed, its x may be that of an earlier problem.
+        # Without a reason for a failure, x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
             return None
         outputs = self._outputs

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, keywords
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import (
     NAN_FAULTS,
@@ -17,15 +16,6 @@ from dpbench.solvers.record import (
     by_tolerance,
     project_facts,
 )
-
-
-def _keywords(module: str, name: str, *besides: str) -> list[str]:
-    """List the keywords of a function or class of a library."""
-    function: Any = import_module(module)
-    for part in name.split("."):
-        function = getattr(function, part)
-    return [n for n in inspect.signature(function).parameters if n not in besides]
-
 
 # Options of cvxopt and kvxopt, from the user guide of CVXOPT, section "Algorithm parameters", and
 # the source of `coneqp`: the library has no list of them and ignores unknown ones.
@@ -223,7 +213,7 @@ QTQP = QpsolversAdapter(
     ),
     "rows",
     read_qtqp_status,
-    lambda: _keywords("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
+    lambda: keywords("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
 )
 
 
@@ -366,6 +356,6 @@ JAXOPT = replace(
         ),
     ),
     read_status=read_jaxopt_status,
-    list_options=lambda: _keywords("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
+    list_options=lambda: keywords("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
     qpsolvers_name="jaxopt_osqp",
 )

@@ -1,7 +1,4 @@
-"""quadprog: one-sided, the inverse factor of P made once.
-
-Behind qpsolvers it either solves, or raises that there is no solution.
-"""
+"""quadprog: one-sided, the inverse factor of P made once."""
 
 from __future__ import annotations
 
@@ -42,13 +39,12 @@ RECORD = SolverRecord(
 
 
 def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
+    """Read the count of rows added; only an answer that was found has extras."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
-# The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
-# and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
-# apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
+# The library raises ValueError for arrays of the wrong kind, which cannot happen here, for a P that
+# is not positive definite, which qpsolvers reports, and for inconsistent constraints: "not found".
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
@@ -58,7 +54,7 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 )
 
 
-# It raises what it has to say.
+# By the text of the ValueError.
 STATUS = {
     "constraints are inconsistent, no solution": Status.PRIMAL_INFEASIBLE,
     "matrix G is not positive definite": Status.NUMERICAL_ERROR,
