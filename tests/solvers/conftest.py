@@ -1,7 +1,5 @@
 """Problems with a known optimum, and every solver that is installed here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -89,15 +87,26 @@ ARMS = [
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test that takes a `configuration` or an `installed` solver for each there is."""
     limited = [a for a in ARMS if a.limit_key and (a.solver, a.route) not in SILENT]
-    for name, configurations in (("configuration", ARMS), ("limited_configuration", limited)):
-        if name in metafunc.fixturenames:
-            metafunc.parametrize(
-                name,
-                configurations,
-                ids=["-".join(configuration) for configuration in configurations],
-            )
+    warm = [a for a in ARMS if a.policy == "warm"]
+    kinds = {"configuration": ARMS, "limited_configuration": limited, "warm_configuration": warm}
+    for name in kinds.keys() & metafunc.fixturenames:
+        metafunc.parametrize(name, kinds[name], ids=["-".join(a) for a in kinds[name]])
     if "installed" in metafunc.fixturenames:
         metafunc.parametrize("installed", INSTALLED)
+
+
+def solve_qp(workspace: Workspace, qp: QuadraticProgram) -> Solution:
+    """Set a workspace up with a problem, solve it and read."""
+    workspace.setup(qp)
+    workspace.solve()
+    return workspace.read()
+
+
+def solve_next(workspace: Workspace, step: QPStep) -> Solution:
+    """Update a workspace, solve and read."""
+    workspace.update(step)
+    workspace.solve()
+    return workspace.read()
 
 
 class Sequence(NamedTuple):
@@ -109,12 +118,7 @@ class Sequence(NamedTuple):
     def answers(self, workspace: Workspace) -> list[Solution]:
         """Those of a workspace that is set up with the problem and then follows the steps."""
         workspace.setup(self.base)
-        answers = []
-        for step in self.steps:
-            workspace.update(step)
-            workspace.solve()
-            answers.append(workspace.read())
-        return answers
+        return [solve_next(workspace, step) for step in self.steps]
 
 
 def mpc_like() -> Sequence:
@@ -141,13 +145,12 @@ def sequence() -> Sequence:
     return mpc_like()
 
 
-@pytest.fixture
-def solve_at_once() -> Callable[..., object]:
-    """Set a new workspace up with a problem, solve it and read."""
+# For tests that also run in a copy of their folder, without this package.
+@pytest.fixture(name="solve_qp")
+def _solve_qp() -> Callable[..., Solution]:
+    return solve_qp
 
-    def run(workspace: Workspace, qp: QuadraticProgram) -> object:
-        workspace.setup(qp)
-        workspace.solve()
-        return workspace.read()
 
-    return run
+@pytest.fixture(name="solve_next")
+def _solve_next() -> Callable[..., Solution]:
+    return solve_next

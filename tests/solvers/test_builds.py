@@ -1,7 +1,5 @@
 """How a library was built is read from the library, not asserted."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from importlib import import_module

@@ -11,6 +11,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, WAITS_NS, BusyWait, CopyOnly
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_solver_module, record, solver_names
+from tests.solvers.conftest import solve_next
 
 
 @pytest.fixture
@@ -48,9 +49,7 @@ def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> 
         open_workspace(name)
     workspace = open_workspace(name, policy="reuse")
     workspace.setup(qp)
-    workspace.update(QPStep(qp.q, qp.l, qp.u))
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_next(workspace, QPStep(qp.q, qp.l, qp.u))
     assert (answer.status, answer.iterations) == (Status.UNKNOWN, -1)
     assert np.isnan(answer.z).all() and answer.z.shape == (3,) and answer.y.shape == (2,)
     assert (workspace.read() is answer) == (name != COPY_ONLY)

@@ -3,8 +3,6 @@
 Truth comes from the planted optimum, which is exact, and from no solver.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

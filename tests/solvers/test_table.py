@@ -1,7 +1,5 @@
 """The table of solvers, who is available, and how a workspace is opened."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import os
@@ -13,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+import qpsolvers
 
 import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
@@ -28,41 +27,17 @@ from dpbench.solvers.table import (
     solver_names,
 )
 
-NATIVE_ONLY = [
-    "hpipm",
-    "hpipm_ocp",
-    "piqp_multistage",
-    "piqp_sparse",
-    "proxqp_sparse",
-    "qoco",
-    "qpoases",
-]
-SERVED = [
-    "clarabel",
-    "cvxopt",
-    "daqp",
-    "ecos",
-    "highs",
-    "jaxopt",
-    "kvxopt",
-    "osqp",
-    "piqp",
-    "proxqp",
-    "pyqpmad",
-    "qpalm",
-    "qpax",
-    "qtqp",
-    "quadprog",
-    "scs",
-    "sip",
-]
+PROMISED = (
+    "clarabel cvxopt daqp ecos highs hpipm hpipm_ocp jaxopt kvxopt osqp piqp piqp_multistage "
+    "piqp_sparse proxqp proxqp_sparse pyqpmad qoco qpalm qpax qpoases qtqp quadprog scs sip"
+)
 
 
 def test_every_promised_solver_is_in_the_table():
-    """The table holds all that qpsolvers serves from wheels, the native ones and the own ones."""
+    """The table has all that qpsolvers serves from wheels, the native ones and the own ones."""
     own = [name for name, row in TABLE.items() if row.extra == "own"]
     assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
-    assert {*SERVED, *NATIVE_ONLY, *own} <= set(TABLE) <= set(solver_names())
+    assert {*PROMISED.split(), *own} <= set(TABLE) <= set(solver_names())
     assert list(solver_names()) == sorted(solver_names())
 
 
@@ -84,19 +59,14 @@ def test_a_distribution_is_declared_where_its_record_says():
             assert row.distribution in names, row.name
 
 
-def test_names_are_those_of_qpsolvers(installed):
-    """Every installed library is known to qpsolvers under the name the table gives."""
-    import qpsolvers
-
-    if "qpsolvers" in record(installed).routes:
-        assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
-
-
-def test_an_available_solver_has_the_version_of_its_distribution(installed):
-    """The version is the one the package index knows."""
+def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
+    """The name is one of qpsolvers, the version that of the index, the form that of the record."""
     row = record(installed)
+    if "qpsolvers" in row.routes:
+        assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
     if row.extra != "own":
         assert available(installed).version == importlib.metadata.version(row.distribution)
+    assert open_workspace(installed).form == row.form
 
 
 def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
@@ -153,14 +123,8 @@ def test_routes_and_policies_that_do_not_exist_are_refused(solver, route, policy
 
 def test_the_default_route_is_the_solvers_own():
     """Without a route, libraries go through qpsolvers and the own solvers run natively."""
-    assert open_workspace("daqp").route == "qpsolvers"
-    assert open_workspace("piqp_sparse").route == "native"
-    assert open_workspace("paper_active_set").route == "native"
-
-
-def test_the_form_is_recorded(installed):
-    """A workspace tells the form of its matrices as the table does."""
-    assert open_workspace(installed).form == TABLE[installed].form
+    routes = {"daqp": "qpsolvers", "piqp_sparse": "native", "paper_active_set": "native"}
+    assert {solver: open_workspace(solver).route for solver in routes} == routes
 
 
 def test_native_workspaces_set_up_anew_only_when_fresh(configuration):
@@ -183,8 +147,7 @@ def test_no_fact_without_a_source():
 
 
 def test_settings_in_c_have_the_names_of_the_options():
-    """The headers that OSQP installs beside its Python interface have the structure, each option
-    of each level as a field, and the function that fills it."""
+    """OSQP's installed headers have the structure, each option as a field, and its function."""
     row = TABLE["osqp"]
     headers = Path(import_module("osqp").__file__).parent.rglob("osqp_api_*.h")
     text = "".join(header.read_text(encoding="utf-8") for header in headers)
@@ -193,15 +156,6 @@ def test_settings_in_c_have_the_names_of_the_options():
     fields = text.split(f"}} {in_c.struct};")[0].rsplit("typedef struct", 1)[1]
     for option in {key for level in row.levels.values() for key in level}:
         assert re.search(rf"\b{option};", fields), option
-
-
-def test_a_record_tells_the_routes_apart():
-    """What a library can do depends on the way it is reached, and so does its record."""
-    row = TABLE["daqp"]
-    assert not row.on("qpsolvers").detects_infeasibility
-    assert row.on("native").detects_infeasibility
-    assert row.on("qpsolvers").start == "primal"
-    assert row.on("native").start == "active set"
 
 
 def test_isolation_comes_before_qpsolvers():

@@ -1,7 +1,5 @@
 """HPIPM by stages: random optimal control problems against the referee's certified optimum."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Workspaces of libraries: what a start is, what is kept, what is said about their failures."""
 
-from __future__ import annotations
-
 import gc
 import time
 from math import isnan
@@ -18,7 +16,7 @@ from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.libraries.native_workspace import Start
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, available
-from tests.solvers.conftest import Sequence
+from tests.solvers.conftest import Sequence, solve_next, solve_qp
 
 HERE = [name for name in NATIVE if available(name).ok]
 WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
@@ -37,10 +35,7 @@ def answers(workspace, base, steps):
 
 @pytest.mark.parametrize("solver", WARM)
 def test_a_warm_start_makes_a_difference(solver, sequence):
-    """Where the table offers `warm`, steps solved twice take another number of iterations.
-
-    Fewer, but for HPIPM: an interior point near the optimum lies near its barrier.
-    """
+    """Where the table offers `warm`, steps solved twice take another number of iterations."""
     base = QuadraticProgram(
         *(getattr(sequence.base, name) for name in ("P", "q", "A", "l", "u", "lb", "ub"))
     )
@@ -89,24 +84,9 @@ def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequenc
         new = []
         for step in sequence.steps:
             workspace = opened(solver, "fresh", settings)
-            workspace.setup(sequence.base.at(step))
-            workspace.solve()
-            new.append(workspace.read())
+            new.append(solve_qp(workspace, sequence.base.at(step)))
         equal = all(np.array_equal(a.z, b.z) for a, b in zip(kept, new, strict=True))
         assert equal is same
-
-
-@pytest.mark.parametrize("solver", WARM)
-def test_reset_forgets_the_start(solver, sequence):
-    """After a reset a warm workspace gives bit for bit what it gives after its setup."""
-    workspace = opened(solver, "warm")
-    first = answers(workspace, sequence.base, sequence.steps[:1])[0]
-    workspace.reset()
-    workspace.update(sequence.steps[0])
-    workspace.solve()
-    again = workspace.read()
-    np.testing.assert_array_equal(again.z, first.z)
-    assert again.iterations == first.iterations
 
 
 @pytest.mark.parametrize("solver", HERE)
@@ -155,9 +135,7 @@ def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method
         assert answer.status is Status.ERROR
         assert answer.detail == f"{type(error).__name__}: {error}"
         assert np.isnan(answer.z).all()
-    workspace.update(sequence.steps[1])
-    workspace.solve()
-    assert workspace.read().claimed
+    assert solve_next(workspace, sequence.steps[1]).claimed
 
 
 @pytest.mark.parametrize(("route", "method"), CALLS)
@@ -233,15 +211,9 @@ def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
     )
     step = QPStep(base.q, base.l, base.u, P=other.P)
     for qp in (base, base, other, base):
-        workspace.setup(qp)
-        workspace.solve()
-        np.testing.assert_allclose(workspace.read().z, certify(qp).z, atol=1e-6)
-    workspace.update(step)
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, certify(other).z, atol=1e-6)
-    workspace.setup(base)
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, certify(base).z, atol=1e-6)
+        np.testing.assert_allclose(solve_qp(workspace, qp).z, certify(qp).z, atol=1e-6)
+    np.testing.assert_allclose(solve_next(workspace, step).z, certify(other).z, atol=1e-6)
+    np.testing.assert_allclose(solve_qp(workspace, base).z, certify(base).z, atol=1e-6)
 
 
 @pytest.mark.skipif(isnan(heap_bytes()), reason="only glibc 2.33 and later shows its heap")
@@ -299,6 +271,4 @@ def test_a_time_limit_is_one_of_each_solve(solver, sequence):
     workspace.setup(sequence.base)
     until = time.monotonic() + 1.5 * limit_s
     while time.monotonic() < until:
-        workspace.update(sequence.steps[0])
-        workspace.solve()
-        assert workspace.read().status is Status.SOLVED
+        assert solve_next(workspace, sequence.steps[0]).status is Status.SOLVED

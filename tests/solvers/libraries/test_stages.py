@@ -1,7 +1,5 @@
 """Stages of a QP: the ones it is built of, or a single one where the sizes do not fit."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The bound of an answer's error by a point that satisfies its limits to the last bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +15,7 @@ from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own import paper_active_set
 from dpbench.solvers.own.exact_point import LARGEST, error_bound, is_regular
+from tests.solvers.conftest import solve_next
 
 INF = np.inf
 
@@ -93,9 +92,7 @@ def test_a_long_horizon_alone_raises_no_doubt(monkeypatch):
     workspace = open_workspace("paper_active_set", policy="warm")
     workspace.setup(recorded.sequence.base)
     for k, optimum in enumerate(recorded.optima):
-        workspace.update(recorded.sequence.step(k))
-        workspace.solve()
-        answer = workspace.read()
+        answer = solve_next(workspace, recorded.sequence.step(k))
         assert answer.claimed
         # What `is_near` allows; the optimum itself is known to 1e-10.
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=5e-7)

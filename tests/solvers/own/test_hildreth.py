@@ -1,7 +1,5 @@
 """Hildreth's method against its textbook form, the exact method and its own promises."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,15 +9,14 @@ from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
+from tests.solvers.conftest import solve_next, solve_qp
 
 INF = np.inf
 
 
 def solve(qp, settings="default", policy="fresh"):
     workspace = open_workspace("hildreth", policy=policy, settings=settings)
-    workspace.setup(qp)
-    workspace.solve()
-    return workspace.read()
+    return solve_qp(workspace, qp)
 
 
 def textbook(P, q, A, u, sweeps):
@@ -77,9 +74,7 @@ def test_the_ladder_keeps_what_it_promises(sequence, settings, tolerance):
     workspace = open_workspace("hildreth", policy="reuse", settings=settings)
     workspace.setup(sequence.base)
     for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        answer, qp = workspace.read(), sequence.base.at(step)
+        answer, qp = solve_next(workspace, step), sequence.base.at(step)
         assert answer.status is Status.SOLVED
         found = residuals(qp, answer)
         assert found.primal <= 10 * tolerance
@@ -97,9 +92,7 @@ def test_a_start_from_the_previous_multipliers_saves_sweeps():
         workspace.solve()
         sweeps[policy] = 0
         for k in range(10):
-            workspace.update(QPStep((1.0 + 1e-6 * k) * qp.q, qp.l, qp.u))
-            workspace.solve()
-            answer = workspace.read()
+            answer = solve_next(workspace, QPStep((1.0 + 1e-6 * k) * qp.q, qp.l, qp.u))
             assert answer.status is Status.SOLVED
             sweeps[policy] += answer.iterations
     assert sweeps["warm"] < 0.8 * sweeps["reuse"]
@@ -110,12 +103,8 @@ def test_the_multipliers_move_on_by_one_move():
     q = np.array([0.0, 0.0, -3.0, 0.0])
     qp = QuadraticProgram(np.eye(4), q, np.zeros((0, 4)), [], [], -np.ones(4), np.ones(4), 1)
     workspace = open_workspace("hildreth", policy="warm")
-    workspace.setup(qp)
-    workspace.solve()
-    assert workspace.read().iterations == 2
-    workspace.update(QPStep(np.roll(q, -1), qp.l, qp.u))
-    workspace.solve()
-    answer = workspace.read()
+    assert solve_qp(workspace, qp).iterations == 2
+    answer = solve_next(workspace, QPStep(np.roll(q, -1), qp.l, qp.u))
     assert answer.iterations == 1
     np.testing.assert_array_equal(answer.z, [0, 1, 0, 0])
 

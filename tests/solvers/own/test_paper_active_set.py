@@ -1,7 +1,5 @@
 """The paper's active-set method on problems built from their optimum, and on infeasible ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import quadprog
@@ -12,15 +10,14 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
+from tests.solvers.conftest import solve_qp
 
 INF = np.inf
 
 
 def solve(qp):
     workspace = open_workspace("paper_active_set")
-    workspace.setup(qp)
-    workspace.solve()
-    return workspace.read()
+    return solve_qp(workspace, qp)
 
 
 def cost(rng, n, condition):
@@ -31,10 +28,7 @@ def cost(rng, n, condition):
 
 
 def rows(rng, m, n):
-    """Rows of any kind: general, or of −1, 0 and 1, with multiples of one another among them.
-
-    Entries have few digits, so that limits through a point of whole numbers meet there exactly.
-    """
+    """Rows of any kind: general, or of −1, 0 and 1, with multiples of one another among them."""
     general = np.round(1024.0 * rng.normal(size=(m, n))) / 1024.0
     A = general if rng.random() < 0.5 else rng.integers(-1, 2, (m, n)) * 1.0
     if m > 3 and rng.random() < 0.7:

@@ -1,7 +1,5 @@
 """What the paper's method claims on random problems is true: solved and infeasible alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +12,7 @@ from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.proof import contradicts
+from tests.solvers.conftest import solve_next, solve_qp
 
 INF = np.inf
 RULES = {"deadline": None, "derandomize": True, "database": None}
@@ -68,9 +67,7 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
     solver = workspace()
     solver.setup(base)
     for step in steps:
-        solver.update(step)
-        solver.solve()
-        answer, qp = solver.read(), base.at(step)
+        answer, qp = solve_next(solver, step), base.at(step)
         optimum = referee.certify(qp.q, qp.l, qp.u)
         if not answer.claimed:
             # Limits through one point that rounding has moved apart: infeasible.
@@ -89,18 +86,13 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
 @settings(max_examples=15, **RULES)
 @given(st.integers(0, 2**32 - 1))
 def test_larger_sequences_satisfy_the_optimality_conditions(seed):
-    """Up to 120 variables and 300 rows every answer satisfies the KKT conditions.
-
-    The limits of the first step meet in a point but for rounding, where nothing has to be claimed.
-    """
+    """Up to 120 variables and 300 rows every answer satisfies the KKT conditions."""
     rng = np.random.default_rng(seed)
     base, steps = parametric(rng, int(rng.integers(20, 121)), int(rng.integers(0, 301)))
     solver = workspace()
     solver.setup(base)
     for k, step in enumerate(steps):
-        solver.update(step)
-        solver.solve()
-        answer, qp = solver.read(), base.at(step)
+        answer, qp = solve_next(solver, step), base.at(step)
         assert answer.claimed or (k == 0 and answer.status is Status.INACCURATE)
         found = residuals(qp, answer)
         size = 1.0 + np.abs(answer.z).max()
@@ -126,9 +118,7 @@ def test_between_finite_limits_the_proof_of_infeasibility_is_exact(seed):
     high[j] = low[j] + 1.0
     qp = QuadraticProgram(P, 100 * rng.normal(size=n), A, low, high, -np.ones(n), np.ones(n))
     solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    answer = solver.read()
+    answer = solve_qp(solver, qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert farkas_valid(qp, answer.y, answer.y_box)
     assert contradicts(qp, answer.y, answer.y_box)

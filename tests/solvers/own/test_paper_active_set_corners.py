@@ -1,7 +1,5 @@
 """The paper's method at corners of polygons, with rows per move of their own, and with slacks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.constants import empty, fill
 from dpbench.solvers.own.active_set.kernel import solve_step
 from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from tests.solvers.conftest import solve_next, solve_qp
 
 INF = np.inf
 
@@ -29,9 +28,7 @@ def workspace(monkeypatch):
 
 
 def solve(workspace, qp, step):
-    workspace.update(step)
-    workspace.solve()
-    return workspace.read()
+    return solve_next(workspace, step)
 
 
 def azimuths(moves, thrust, sides=16):
@@ -51,10 +48,7 @@ def azimuths(moves, thrust, sides=16):
 def test_a_corner_reached_at_the_largest_rate_is_solved_as_any_other_point(
     workspace, moves, thrust
 ):
-    """More rows meet than there are dimensions, and no step is left to the safeguards.
-
-    The thrust is a whole number of largest steps, so that bounds and sides meet to the last bit.
-    """
+    """More rows meet than there are dimensions, and no step is left to the safeguards."""
     P, A, high, reach, normals = azimuths(moves, thrust)
     one, f = np.ones(len(P)), np.zeros(4)
     base = QuadraticProgram(P, one, A, -high, high, -one, one)
@@ -88,9 +82,7 @@ def test_a_thruster_that_shrinks_at_its_rate_has_to_make_the_largest_steps(works
     # From 4 steps of thrust down to `left`, as fast as the rate allows.
     high = np.maximum(left, 4.0 - np.arange(1, moves + 1)) - 4.0
     qp = QuadraticProgram(np.eye(moves), -9 * one, A, np.full(moves, -8.0), high, -one, one)
-    workspace.setup(qp)
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_qp(workspace, qp)
     forced = np.diff(high, prepend=0.0)
     assert answer.status is Status.SOLVED
     np.testing.assert_array_equal(answer.z[: 4 - left], forced[: 4 - left])
@@ -122,9 +114,7 @@ def test_rows_move_on_by_the_rows_of_a_move(solver, first):
     """A row moves on by two places where a variable does by one: the kept set needs no change."""
     qp = two_rows_a_move(6)
     kept = open_workspace(solver, policy="warm")
-    kept.setup(qp)
-    kept.solve()
-    assert kept.read().iterations == first
+    assert solve_qp(kept, qp).iterations == first
     answer = solve(kept, qp, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
     np.testing.assert_allclose(answer.z, [0, 0.5, 0, 0, 0, 0], rtol=0, atol=1e-15)
     assert answer.iterations == first - 1

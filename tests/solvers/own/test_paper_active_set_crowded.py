@@ -1,7 +1,5 @@
 """The paper's method where rounding decides: near copies of rows, dependent rows, far points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,15 +9,14 @@ from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.proof import contradicts, determined
+from tests.solvers.conftest import solve_qp
 
 INF = np.inf
 
 
 def solve(qp):
     workspace = open_workspace("paper_active_set")
-    workspace.setup(qp)
-    workspace.solve()
-    return workspace.read()
+    return solve_qp(workspace, qp)
 
 
 def crowded(seed):
@@ -104,10 +101,7 @@ def assert_true_to_rounding(qp, answer):
 # before answers were checked.
 @pytest.mark.parametrize("seed", [5, 24, 404, 436, 832, 934, 1049, 1410, 1462, 1713])
 def test_what_was_once_wrongly_called_solved_is_no_more(seed):
-    """Near copies of rows at a crowded vertex: solved is claimed where it is true, or not at all.
-
-    An answer that is not claimed still satisfies the limits to what sets near copies apart.
-    """
+    """Near copies of rows at a crowded vertex: solved is claimed where it is true, or not at all."""
     qp = crowded(seed)
     answer = solve(qp)
     if answer.claimed:
@@ -124,11 +118,7 @@ that has to be claimed."""
 
 @pytest.mark.slow
 def test_crowded_vertices_are_solved_where_the_referee_finds_them_solved():
-    """Of random crowded vertices every claim is true, and every clear one is claimed.
-
-    Most have no answer that rounding leaves standing: the referee has none either, or finds in
-    exact arithmetic another point than all solvers do, or that there is none.
-    """
+    """Of random crowded vertices every claim is true, and every clear one is claimed."""
     kinds = []
     for seed in sorted({*range(50)} - LONG):
         qp = crowded(seed)

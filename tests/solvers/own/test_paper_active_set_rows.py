@@ -1,8 +1,6 @@
 """Rows of A that change from step to step, and rows with equal limits: the same answers as of a
 workspace that knows nothing of the step before."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +16,7 @@ from dpbench.solvers.own.active_set import layout
 from dpbench.solvers.own.active_set.constants import empty, fill
 from dpbench.solvers.own.active_set.kernel import take_over_rows
 from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from tests.solvers.conftest import solve_next, solve_qp
 
 POLICIES: tuple[Policy, ...] = ("fresh", "reuse", "warm")
 
@@ -118,13 +117,13 @@ def test_vectors_alone_then_go_with_the_rows_that_came_last() -> None:
     workspace.update(
         QPStep(-2 * one, -9 * one, np.array([0.5, 9.0]), A=np.array([[1.0, 1], [0, 1]]))
     )
-    workspace.update(QPStep(-2 * one, -9 * one, np.array([1.0, 9.0])))
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, [0.5, 0.5], atol=1e-12)
+    np.testing.assert_allclose(
+        solve_next(workspace, QPStep(-2 * one, -9 * one, np.array([1.0, 9.0]))).z,
+        [0.5, 0.5],
+        atol=1e-12,
+    )
     low = np.array([2.5, -9.0])
-    workspace.update(QPStep(-2 * one, low, np.array([9.0, 9.0])))
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_next(workspace, QPStep(-2 * one, low, np.array([9.0, 9.0])))
     assert answer.status is Status.PRIMAL_INFEASIBLE
     np.testing.assert_allclose(answer.y_box, -answer.y @ [[1.0, 1.0], [0.0, 1.0]])
     assert 2 * answer.y_box.max() + 2.5 * answer.y[0] < 0.0
@@ -138,12 +137,8 @@ def test_rows_that_are_no_numbers_are_refused_and_the_next_ones_are_not(value: f
     workspace.setup(qp)
     bad = qp.A.copy()
     bad[2, 1] = value
-    workspace.update(QPStep(qp.q, qp.l, qp.u, A=bad))
-    workspace.solve()
-    assert workspace.read().status is Status.ERROR
-    workspace.update(QPStep(qp.q, qp.l, qp.u, A=qp.A))
-    workspace.solve()
-    assert workspace.read().status is Status.SOLVED
+    assert solve_next(workspace, QPStep(qp.q, qp.l, qp.u, A=bad)).status is Status.ERROR
+    assert solve_next(workspace, QPStep(qp.q, qp.l, qp.u, A=qp.A)).status is Status.SOLVED
 
 
 def test_the_set_goes_on_from_step_to_step_though_all_of_them_bring_rows() -> None:
@@ -155,9 +150,7 @@ def test_the_set_goes_on_from_step_to_step_though_all_of_them_bring_rows() -> No
         workspace.setup(sequence.base)
         count[policy] = 0
         for k in range(1, len(sequence)):
-            workspace.update(sequence.step(k))
-            workspace.solve()
-            answer = workspace.read()
+            answer = solve_next(workspace, sequence.step(k))
             assert answer.status is Status.SOLVED
             count[policy] += answer.iterations
     assert count["warm"] < 0.5 * count["reuse"]
@@ -180,9 +173,7 @@ def test_rows_with_equal_limits_are_active_from_the_start(
     q = np.zeros(n) if at_rest else qp.q
     posed = QuadraticProgram(qp.P, q, A, low, high, qp.lb, qp.ub)
     workspace = opened()
-    workspace.setup(posed)
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_qp(workspace, posed)
     assert answer.status is Status.SOLVED
     left = residuals(posed, answer)
     assert left.primal <= 1e-9 and left.dual <= 1e-9 * (1.0 + np.abs(q).max())

@@ -1,7 +1,5 @@
 """The paper's method from step to step: sequences of QPs, starts, odd arrays, size."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from inspect import getclosurevars
@@ -19,6 +17,7 @@ from dpbench.solvers.own.active_set import factor as active_set_factor
 from dpbench.solvers.own.active_set import layout as active_set_layout
 from dpbench.solvers.own.active_set.kernel import _entry_points, mark_spans
 from dpbench.solvers.own.hildreth import hildreth_step
+from tests.solvers.conftest import solve_next, solve_qp
 
 INF = np.inf
 
@@ -50,9 +49,7 @@ def test_every_step_of_a_scenario_is_the_certified_optimum(name):
         solver.setup(sequence.base)
         iterations[policy] = 0
         for k in range(len(sequence)):
-            solver.update(sequence.step(k))
-            solver.solve()
-            answer = solver.read()
+            answer = solve_next(solver, sequence.step(k))
             assert answer.status is Status.SOLVED
             assert np.abs(answer.z - exact.z[k]).max() <= 1e-9
             iterations[policy] += answer.iterations
@@ -69,19 +66,11 @@ def chain(block):
 
 @pytest.mark.parametrize(("block", "iterations"), [(1, 0), (2, 2), (0, 2)])
 def test_the_kept_set_moves_on_by_one_move(block, iterations):
-    """A set that came one move nearer needs no change; moved otherwise it costs a drop and an add.
-
-    The next step's second variable is at its bound. Block 0 keeps variable 3, block 2 takes it to
-    1: either is dropped, and variable 2 brought in.
-    """
+    """A set that came one move nearer needs no change; moved otherwise it costs a drop and an add."""
     qp = chain(block)
     solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    assert solver.read().iterations == 1
-    solver.update(QPStep(np.roll(qp.q, -1), qp.l, qp.u))
-    solver.solve()
-    answer = solver.read()
+    assert solve_qp(solver, qp).iterations == 1
+    answer = solve_next(solver, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
     np.testing.assert_allclose(answer.z, [0, 1, 0, 0, 0, 0], rtol=0, atol=1e-15)
     assert answer.iterations == iterations
 
@@ -92,9 +81,7 @@ def test_the_same_set_costs_no_iteration():
     solver = workspace()
     solver.setup(qp)
     solver.solve()
-    solver.update(QPStep(1.1 * qp.q, qp.l, qp.u))
-    solver.solve()
-    assert solver.read().iterations == 0
+    assert solve_next(solver, QPStep(1.1 * qp.q, qp.l, qp.u)).iterations == 0
     solver.reset()
     solver.solve()
     assert solver.read().iterations == 1
@@ -111,9 +98,7 @@ def test_nearly_parallel_rows_are_told_apart(angle):
         np.eye(2), -(z + A.T @ y), A, [-INF, -INF], high, [-INF, -INF], [INF, INF]
     )
     solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    answer = solver.read()
+    answer = solve_qp(solver, qp)
     assert answer.status is Status.SOLVED
     # The rounding of `high` alone moves the point by 1e-16 over the angle.
     np.testing.assert_allclose(answer.z, z, rtol=0, atol=1e-15 / angle)
@@ -151,9 +136,7 @@ def test_two_workspaces_do_not_disturb_each_other(sequence):
     alone.setup(sequence.base)
     expected = []
     for step in sequence.steps:
-        alone.update(step)
-        alone.solve()
-        expected.append(alone.read().z)
+        expected.append(solve_next(alone, step).z)
     forth, back = workspace(), workspace()
     forth.setup(sequence.base)
     back.setup(sequence.base)
