@@ -27,10 +27,6 @@ def workspace(monkeypatch):
     return open_workspace("paper_active_set", policy="warm")
 
 
-def solve(workspace, qp, step):
-    return solve_next(workspace, step)
-
-
 def azimuths(moves, thrust, sides=16):
     """P and rows of two azimuth thrusters with polygons around f + Σz, in largest steps."""
     angle = (2 * np.arange(sides // 2) + 1) * np.pi / sides
@@ -61,7 +57,7 @@ def test_a_corner_reached_at_the_largest_rate_is_solved_as_any_other_point(
         now = np.tile(normals @ f, moves)
         q = -reach.T @ np.tile(wanted if k % 8 else np.array([9.0 * thrust, 0, 0]), moves)
         step = QPStep(q, -high - now, high - now)
-        answer, optimum = solve(workspace, base, step), referee.certify(step.q, step.l, step.u)
+        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
         assert answer.status is Status.SOLVED
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-10)
         value = np.concatenate([A @ answer.z, answer.z])
@@ -115,7 +111,7 @@ def test_rows_move_on_by_the_rows_of_a_move(solver, first):
     qp = two_rows_a_move(6)
     kept = open_workspace(solver, policy="warm")
     assert solve_qp(kept, qp).iterations == first
-    answer = solve(kept, qp, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
+    answer = solve_next(kept, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
     np.testing.assert_allclose(answer.z, [0, 0.5, 0, 0, 0, 0], rtol=0, atol=1e-15)
     assert answer.iterations == first - 1
 
@@ -141,27 +137,6 @@ def with_slacks(rng, moves, softened):
     )
 
 
-@pytest.mark.parametrize(("moves", "softened"), [(3, 40), (10, 10), (1, 1), (20, 100)])
-def test_what_is_left_out_of_products_is_zero(moves, softened):
-    """Behind every row of K, [P Aᵀ] and H stands where its entries are, and no more than fits."""
-    qp = with_slacks(np.random.default_rng(moves), moves, softened)
-    S = empty(qp.n, qp.m)
-    assert fill(S, qp, keep=False) == ""
-    n_pad, width = int(S[layout.HEAD, layout.N_PAD]), S.shape[1] - layout.TAIL
-    K, _, H, J, _, _ = layout.block_starts(n_pad, width)
-    for rows, group in ((range(K, H, 4), 4), (range(H, J), 1)):
-        for r in rows:
-            before, count = (int(x) for x in S[r, width : width + 2])
-            assert 0 <= before <= count <= 7
-            zero = np.ones(width, dtype=bool)
-            spans = S[r, width + 2 : width + 2 + 2 * count].astype(int).reshape(-1, 2)
-            for first, end in spans:
-                assert first < end and zero[first:end].all()
-                zero[first:end] = False
-            assert (spans[:before, 1] <= n_pad).all() and (spans[before:, 0] >= n_pad).all()
-            assert not S[r : r + group, :width][:, zero].any()
-
-
 @pytest.mark.parametrize(("moves", "softened"), [(3, 40), (10, 10), (20, 100)])
 def test_softened_rows_give_the_certified_optimum(workspace, moves, softened):
     """Through steps whose slacks come and go every answer is the optimum."""
@@ -171,6 +146,6 @@ def test_softened_rows_give_the_certified_optimum(workspace, moves, softened):
     workspace.setup(qp)
     for _ in range(10):
         step = QPStep(qp.q * rng.uniform(0.5, 1.5, qp.n), qp.l, qp.u)
-        answer, optimum = solve(workspace, qp, step), referee.certify(step.q, step.l, step.u)
+        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
         assert answer.status is Status.SOLVED
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-11)

@@ -12,9 +12,6 @@ from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.active_set import layout
-from dpbench.solvers.own.active_set.constants import empty, fill
-from dpbench.solvers.own.active_set.kernel import take_over_rows
 from dpbench.solvers.own.paper_active_set import PaperActiveSet
 from tests.solvers.conftest import solve_next, solve_qp
 
@@ -41,43 +38,6 @@ def opened(policy: Policy = "warm") -> PaperActiveSet:
     workspace = open_workspace("paper_active_set", route="native", policy=policy)
     assert isinstance(workspace, PaperActiveSet)
     return workspace
-
-
-@settings(derandomize=True, max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), st.integers(2, 20), st.integers(1, 40), st.integers(0, 40))
-def test_what_is_kept_of_changed_rows_is_what_setting_up_makes(
-    seed: int, n: int, m: int, changed: int
-) -> None:
-    """K, [P Aᵀ], H, J, A, lengths and spans; entries come and go."""
-    rng = np.random.default_rng(seed)
-    qp = problem(rng, n, m)
-    A = qp.A.copy()
-    which = rng.choice(m, min(changed, m), replace=False)
-    A[which] = rows_of_two(rng, n, m)[which]
-    A[which[: changed // 4]] = 0.0
-    changed_S, new_S = empty(n, m), empty(n, m)
-    assert fill(changed_S, qp, keep=False) == ""
-    after = QuadraticProgram(qp.P, qp.q, A, qp.l, qp.u, qp.lb, qp.ub)
-    assert fill(new_S, after, keep=False) == ""
-    if not take_over_rows(changed_S, A):
-        return
-    width = new_S.shape[1] - layout.TAIL
-    n_pad = int(new_S[layout.HEAD, layout.N_PAD])
-    L = layout.block_starts(n_pad, width)[-1]
-    size = np.abs(new_S[layout.VECTORS : L, :width]).max()
-    for rows in (slice(layout.UNIT, layout.SUM + 1), slice(layout.VECTORS, L)):
-        np.testing.assert_allclose(
-            changed_S[rows, :width], new_S[rows, :width], rtol=1e-9, atol=1e-11 * size
-        )
-    # Spans may be wider than they have to be: nothing stands between them.
-    for r in range(layout.VECTORS, layout.block_starts(n_pad, width)[3]):
-        first = r - (r - layout.VECTORS) % (4 if r < layout.VECTORS + 2 * n_pad else 1)
-        count = int(changed_S[first, width + 1])
-        spans = changed_S[first, width + 2 : width + 2 + 2 * count].astype(int).reshape(-1, 2)
-        inside = np.zeros(width, dtype=bool)
-        for begin, end in spans:
-            inside[begin:end] = True
-        assert not changed_S[r, :width][~inside].any()
 
 
 @pytest.mark.parametrize("policy", POLICIES)

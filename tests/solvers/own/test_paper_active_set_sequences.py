@@ -66,7 +66,7 @@ def chain(block):
 
 @pytest.mark.parametrize(("block", "iterations"), [(1, 0), (2, 2), (0, 2)])
 def test_the_kept_set_moves_on_by_one_move(block, iterations):
-    """A set that came one move nearer needs no change; moved otherwise it costs a drop and an add."""
+    """A set one move nearer needs no change; moved otherwise it costs a drop and an add."""
     qp = chain(block)
     solver = workspace()
     assert solve_qp(solver, qp).iterations == 1
@@ -128,24 +128,6 @@ def test_other_kinds_of_arrays_are_taken_over_all_the_same(sequence, kind):
         expected.solve()
         found.solve()
         np.testing.assert_array_equal(found.read().z, expected.read().z)
-
-
-def test_two_workspaces_do_not_disturb_each_other(sequence):
-    """Workspaces that take turns give what each gives alone."""
-    alone = workspace()
-    alone.setup(sequence.base)
-    expected = []
-    for step in sequence.steps:
-        expected.append(solve_next(alone, step).z)
-    forth, back = workspace(), workspace()
-    forth.setup(sequence.base)
-    back.setup(sequence.base)
-    for k, step in enumerate(sequence.steps):
-        forth.update(step)
-        back.update(sequence.steps[-1 - k])
-        forth.solve()
-        back.solve()
-        np.testing.assert_array_equal(forth.read().z, expected[k])
 
 
 def test_three_hundred_variables_and_six_hundred_rows():
