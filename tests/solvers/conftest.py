@@ -1,11 +1,16 @@
 """Problems with a known optimum, and every solver that is installed here."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+import dpbench
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
@@ -107,6 +112,16 @@ def solve_next(workspace: Workspace, step: QPStep) -> Solution:
     workspace.update(step)
     workspace.solve()
     return workspace.read()
+
+
+def run_program(program: str) -> str:
+    """Run a program in a process of its own; return its output."""
+    path = os.pathsep.join([str(Path(dpbench.__file__).parents[1]), *sys.path])
+    command, environment = [sys.executable, "-c", program], {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        command, env=environment, check=True, timeout=200, capture_output=True, text=True
+    )
+    return done.stdout
 
 
 class Sequence(NamedTuple):

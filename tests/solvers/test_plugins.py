@@ -1,7 +1,5 @@
 """Solvers of third parties: from a file, from an entry point, and through qpsolvers by name."""
 
-import os
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 import qpsolvers
 
-import dpbench
 from dpbench.errors import InputError, PolicyError, SettingsError, UnknownNameError
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
@@ -18,7 +15,7 @@ from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.settings import describe_levels, settings_matter
 from dpbench.solvers.table import available, load_solver_module, record, solver_names
-from tests.solvers.conftest import solve_qp
+from tests.solvers.conftest import run_program, solve_qp
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
 TEXT = EXAMPLE.read_text()
@@ -190,9 +187,7 @@ workspace.solve()
 assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
 assert not [m for row in TABLE.values() if (m := row.module) and sys.modules.get(m)]
 """
-    root = Path(dpbench.__file__).parents[1]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
+    run_program(program)
 
 
 def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, sequence):

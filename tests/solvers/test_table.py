@@ -2,9 +2,7 @@
 
 import dataclasses
 import importlib.metadata
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from importlib import import_module
@@ -26,6 +24,7 @@ from dpbench.solvers.table import (
     record,
     solver_names,
 )
+from tests.solvers.conftest import run_program
 
 PROMISED = (
     "clarabel cvxopt daqp ecos highs hpipm hpipm_ocp jaxopt kvxopt osqp piqp piqp_multistage "
@@ -185,13 +184,5 @@ from dpbench.solvers.table import TABLE
 modules = [row.module for row in TABLE.values() if row.module]
 print(*sorted(m for m in modules if sys.modules.get(m) is not None))
 """
-    root = Path(dpbench.__file__).parents[1]
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": str(root)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
     expected = {TABLE[solver].module} | ({"cvxopt"} if solver == "sip" else set())
-    assert set(done.stdout.split()) == expected
+    assert set(run_program(program).split()) == expected

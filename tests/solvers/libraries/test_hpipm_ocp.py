@@ -1,20 +1,16 @@
 """HPIPM by stages: random optimal control problems against the referee's certified optimum."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import dpbench
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import available
+from tests.solvers.conftest import run_program, solve_next
 
 pytestmark = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
 
@@ -83,13 +79,7 @@ def answers(case: Staged, policy: str) -> Iterator[tuple[QuadraticProgram, Solut
     workspace.setup(case.base)
     for _ in range(3):
         step = case.step()
-        qp = case.base.at(step)
-        if workspace.setup_every_step:
-            workspace.setup(qp)
-        else:
-            workspace.update(step)
-        workspace.solve()
-        yield qp, workspace.read()
+        yield case.base.at(step), solve_next(workspace, step)
 
 
 def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
@@ -124,8 +114,7 @@ def test_random_optimal_control_problems(policy: str) -> None:
 
 
 def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
-    """PIQP's factorisation by stages brings a BLASFEO of its own, with the same names as HPIPM's;
-    one that called the other's would corrupt memory, so they are tried in a process of theirs."""
+    """PIQP's BLASFEO has the names of HPIPM's: one that calls the other's corrupts memory."""
     program = """
 import numpy as np
 from dpbench import load_scenario, open_workspace, record_sequence
@@ -142,10 +131,4 @@ for solver in ("hpipm_ocp", "hpipm", "piqp_multistage", "hpipm_ocp"):
 for answer in answers[1:]:
     assert np.abs(answer - answers[0]).max() < 1e-4 * np.abs(answers[0]).max()
 """
-    root = Path(dpbench.__file__).parents[1]
-    subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])},
-        check=True,
-        timeout=100,
-    )
+    run_program(program)

@@ -1,7 +1,5 @@
 """The paper's method from step to step: starts, rows that change, corners of polygons, slacks."""
 
-import subprocess
-import sys
 from inspect import getclosurevars
 
 import numpy as np
@@ -23,7 +21,7 @@ from dpbench.solvers.own.active_set.constants import empty, fill
 from dpbench.solvers.own.active_set.kernel import _entry_points, mark_spans, solve_step
 from dpbench.solvers.own.hildreth import hildreth_step
 from dpbench.solvers.own.paper_active_set import PaperActiveSet
-from tests.solvers.conftest import Sequence, solve_next, solve_qp
+from tests.solvers.conftest import Sequence, run_program, solve_next, solve_qp
 from tests.solvers.own.random_costs import INF, solve, unlimited
 
 POLICIES = ("fresh", "reuse", "warm")
@@ -192,10 +190,8 @@ from dpbench.solvers.own.active_set.kernel import mark_spans
 for function in (mark_spans, hildreth.hildreth_step):
     print(getclosurevars(function.py_func).nonlocals["version"])
 """
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
     here = (stamp_of(mark_spans), stamp_of(hildreth_step))
-    assert done.stdout.split() == [str(stamp) for stamp in here]
+    assert run_program(program).split() == [str(stamp) for stamp in here]
 
 
 def stamp_of(function):
