@@ -1,7 +1,4 @@
-"""Records of dpbench's own solvers, and how each is opened.
-
-What is compiled is loaded, or compiled at the first time, only when it is asked for.
-"""
+"""Records of dpbench's own solvers; compiled code is loaded, or compiled, when it is first used."""
 
 from __future__ import annotations
 
@@ -72,10 +69,9 @@ def _hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspa
 
 
 def _unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.unconstrained import FreshUnconstrained, Unconstrained
+    from dpbench.solvers.own.unconstrained import Unconstrained
 
-    kind = FreshUnconstrained if policy == "fresh" else Unconstrained
-    return kind(record.name, "native", policy)
+    return Unconstrained(record.name, "native", policy)
 
 
 OWN = {

@@ -173,10 +173,7 @@ def _row_order(square: Matrix) -> Indices:
 
 
 def _distance(problem: JointQP, z: Vector, lam: Vector, gap: float) -> float:
-    """Bound |z_i − z*_i| by the inequality.
-
-    r comes with all that rounding may have added to it.
-    """
+    """Bound |z_i − z*_i| by the inequality. r comes with all that rounding may have added to it."""
     P, C = problem.P, problem.C
     r = P @ z + problem.q + lam @ C
     terms = np.abs(P) @ np.abs(z) + np.abs(problem.q) + np.abs(lam) @ np.abs(C)

@@ -1,4 +1,4 @@
-"""The baseline law: the unconstrained optimum, whatever the constraints say.
+"""The baseline law: the unconstrained optimum.
 
     z = −P⁻¹ q                                                                        (eq. 27)
 
@@ -21,6 +21,7 @@ class Unconstrained(Workspace):
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
+        self.setup_every_step = policy == "fresh"
         self._base: QuadraticProgram | None = None
         self._factor: np.ndarray | None = None
         self._z: Vector | None = None
@@ -61,9 +62,3 @@ class Unconstrained(Workspace):
         if self._z is None:
             return Solution.missing(n, m, Status.ERROR, "read before solve")
         return Solution(Status.UNKNOWN, self._z.copy(), np.zeros(m), np.zeros(n), iterations=0)
-
-
-class FreshUnconstrained(Unconstrained):
-    """The same, set up from nothing at each step."""
-
-    setup_every_step = True

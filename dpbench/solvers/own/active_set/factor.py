@@ -378,10 +378,7 @@ def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector)
 
 @compiled
 def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
-    """Write the changed rows into A, [P Aᵀ] and SUM.
-
-    Returns whether any entry was zero before.
-    """
+    """Write the changed rows into A, [P Aᵀ] and SUM. Returns whether any entry was zero before."""
     n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
     for c in range(count):
         i, terms = int(S[BEFORE, c]) & MASK, 0.0
