@@ -35,7 +35,6 @@ class Blasfeo:
         (Blasfeo(AVX2 | FMA, b" AVX2 FMA"), Build("BLASFEO AVX2 FMA")),
         (object(), Build()),
     ],
-    ids=["generic", "haswell", "silent"],
 )
 def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     library: object, build: Build

@@ -5,14 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from dpbench.arrays import Flags, Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.libraries.hpipm_ocp import Stage, split_stages
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import available
 from tests.solvers.conftest import run_program, solve_next
 
-pytestmark = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
+needs_casadi = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
 
 TIGHT = {
     **dict.fromkeys(("tol_stat", "tol_eq", "tol_ineq", "tol_comp"), 1e-10),
@@ -99,6 +101,7 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
             assert (side[acting] * slack[acting] < 1e-8).all()
 
 
+@needs_casadi
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_random_optimal_control_problems(policy: str) -> None:
     """Answers and multipliers; what is not claimed is a stall, which it comes to now and then."""
@@ -113,6 +116,7 @@ def test_random_optimal_control_problems(policy: str) -> None:
     assert stalls <= 4  # of 180
 
 
+@needs_casadi
 def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
     """PIQP's BLASFEO has the names of HPIPM's: one that calls the other's corrupts memory."""
     program = """
@@ -132,3 +136,46 @@ for answer in answers[1:]:
     assert np.abs(answer - answers[0]).max() < 1e-4 * np.abs(answers[0]).max()
 """
     run_program(program)
+
+
+def assert_complete(stages: list[Stage], P: Matrix, A: Matrix, equal: Flags) -> None:
+    """Each variable and each row is in one stage, and no entry is lost between them."""
+    variables = np.concatenate([stage.variables for stage in stages])
+    dynamics = np.concatenate([stage.dynamics for stage in stages])
+    rows = np.concatenate([dynamics, *(stage.rows for stage in stages)])
+    np.testing.assert_array_equal(np.sort(variables), np.arange(P.shape[0]))
+    np.testing.assert_array_equal(np.sort(rows), np.arange(A.shape[0]))
+    assert stages[0].states.size == 0 and equal[dynamics].all()
+    cost, linear = np.zeros_like(P), np.zeros_like(A)
+    for k, stage in enumerate(stages):
+        here = stage.variables
+        cost[np.ix_(here, here)] = P[np.ix_(here, here)]
+        linear[np.ix_(stage.rows, here)] = A[np.ix_(stage.rows, here)]
+        for row, state in zip(stage.dynamics, stage.states, strict=True):
+            linear[row, state] = A[row, state]
+            linear[row, stages[k - 1].variables] = A[row, stages[k - 1].variables]
+    np.testing.assert_array_equal(cost, P)
+    np.testing.assert_array_equal(linear, A)
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.01, 0.5])
+@pytest.mark.parametrize("seed", range(12))
+def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: float) -> None:
+    """Rows in any order; with entries in places that fit no stage, there is a single one."""
+    rng, qp = np.random.default_rng(seed), Staged(seed, 1 + seed % 6).base
+    order = rng.permutation(qp.m)
+    A, equal = qp.A[order], (qp.l == qp.u)[order]
+    A[rng.uniform(size=A.shape) < coupling] = 0.3
+    stages = split_stages(qp.stages, qp.P, A, equal)
+    if not coupling or len(stages) > 1:
+        assert tuple((s.states.size, s.inputs.size) for s in stages) == qp.stages
+    assert_complete(stages, qp.P, A, equal)
+
+
+def test_sizes_that_do_not_fit_leave_a_single_stage() -> None:
+    """No sizes, a wrong sum, a state in the first stage, and a state that no row defines."""
+    A, equal = np.array([[1.0, -1.0], [2.0, -1.0]]), np.array([True, True])
+    for sizes in ([], [(0, 1)], [(1, 0), (1, 0)], [(0, 1), (1, 0)]):
+        stages = split_stages(sizes, np.eye(2), A, equal if sizes != [(0, 1), (1, 0)] else ~equal)
+        assert [stage.inputs.tolist() for stage in stages] == [[0, 1]]
+        assert stages[0].rows.tolist() == [0, 1]

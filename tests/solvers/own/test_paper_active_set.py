@@ -123,18 +123,14 @@ def klee_minty(n):
     A = np.eye(n) + 2.0 * np.tril(4.0 ** np.maximum(np.subtract.outer(range(n), range(n)), 0), -1)
     u = 5.0 ** np.arange(1, n + 1)
     q = -(2.0 ** np.arange(n - 1, -1, -1))
-    return QuadraticProgram(
-        1e-6 * np.eye(n), q, A, np.full(n, -INF), u, np.zeros(n), np.full(n, INF)
-    )
+    bounds = np.zeros(n), np.full(n, INF)
+    return QuadraticProgram(1e-6 * np.eye(n), q, A, np.full(n, -INF), u, *bounds)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_it_ends_on_the_klee_minty_cube(n):
     """On the cube that defeats the simplex method it ends at the known vertex (0, …, 0, 5ⁿ)."""
-    qp = klee_minty(n)
-    answer = solve(qp)
-    expected = np.zeros(n)
-    expected[-1] = 5.0**n
+    answer, expected = solve(klee_minty(n)), 5.0**n * np.eye(n)[-1]
     assert answer.status is Status.SOLVED
     np.testing.assert_allclose(answer.z, expected, rtol=0, atol=1e-9 * 5.0**n)
 
@@ -144,10 +140,8 @@ def test_it_ends_on_beales_cycling_example():
     A = np.array([[0.25, -8.0, -1.0, 9.0], [0.5, -12.0, -0.5, 3.0], [0.0, 0.0, 1.0, 0.0]])
     q = np.array([-0.75, 20.0, -0.5, 6.0])
     # The optimum (1, 0, 1, 0) of the linear programme stays one under a small curvature.
-    qp = QuadraticProgram(
-        1e-3 * np.eye(4), q, A, np.full(3, -INF), [0, 0, 1], np.zeros(4), np.full(4, INF)
-    )
-    answer = solve(qp)
+    bounds = np.zeros(4), np.full(4, INF)
+    answer = solve(QuadraticProgram(1e-3 * np.eye(4), q, A, [-INF] * 3, [0, 0, 1], *bounds))
     assert answer.status is Status.SOLVED
     np.testing.assert_allclose(answer.z, [1, 0, 1, 0], rtol=0, atol=1e-9)
 
@@ -173,15 +167,8 @@ def test_units_do_not_matter(exponent):
     rng = np.random.default_rng(1)
     span = sorted((0, exponent))
     s, r = 10.0 ** rng.uniform(*span, qp.n), 10.0 ** rng.uniform(*span, qp.m)
-    other = QuadraticProgram(
-        qp.P * np.outer(s, s),
-        qp.q * s,
-        (qp.A * s) * r[:, None],
-        qp.l * r,
-        qp.u * r,
-        qp.lb / s,
-        qp.ub / s,
-    )
+    P, A = qp.P * np.outer(s, s), (qp.A * s) * r[:, None]
+    other = QuadraticProgram(P, qp.q * s, A, qp.l * r, qp.u * r, qp.lb / s, qp.ub / s)
     answer = solve(other)
     assert answer.status is Status.SOLVED
     np.testing.assert_allclose(answer.z * s, z, rtol=0, atol=1e-9)
