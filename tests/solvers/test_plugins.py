@@ -15,7 +15,7 @@ from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.settings import describe_levels, settings_matter
 from dpbench.solvers.table import available, load_solver_module, record, solver_names
-from tests.solvers.conftest import run_program, solve_qp
+from tests.solvers.conftest import solve_qp
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
 TEXT = EXAMPLE.read_text()
@@ -51,15 +51,12 @@ def test_a_file_adds_a_solver(sequence):
 
 def test_a_files_version_is_its_content(tmp_path):
     """Another content is another version, so that results of the two are never mixed."""
-    copy = tmp_path / "mine.py"
-    copy.write_text(TEXT)
-    load_solver_module(copy)
-    before = available("admm").version
-    load_solver_module(copy)
-    assert available("admm").version == before
-    copy.write_text(TEXT + "# changed\n")
-    load_solver_module(copy)
-    assert available("admm").version != before
+    file, versions = tmp_path / "mine.py", []
+    for text in (TEXT, TEXT, TEXT + "# changed\n"):
+        file.write_text(text)
+        load_solver_module(file)
+        versions.append(available("admm").version)
+    assert versions[0] == versions[1] != versions[2]
 
 
 def test_the_levels_of_a_plugin_reaches_it(sequence):
@@ -67,11 +64,9 @@ def test_the_levels_of_a_plugin_reaches_it(sequence):
     load_solver_module(EXAMPLE)
     assert settings_matter("admm")
     assert "high: tolerance=1e-09" in describe_levels("admm")
-    counts = []
-    for settings in ("low", "high", {"tolerance": 1e-1}):
-        workspace = open_workspace("admm", settings=settings)
-        counts.append(solve_qp(workspace, sequence.base).iterations)
-    assert counts[2] < counts[0] < counts[1]
+    workspaces = (open_workspace("admm", settings=s) for s in ({"tolerance": 0.1}, "low", "high"))
+    few, more, most = (solve_qp(workspace, sequence.base).iterations for workspace in workspaces)
+    assert few < more < most
     with pytest.raises(SettingsError, match="hihg"):
         open_workspace("admm", settings="hihg")
     with pytest.raises(PolicyError, match="warm"):
@@ -166,28 +161,6 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
     with pytest.raises(InputError, match=r"entry point broken.*nothing"):
         open_workspace("broken")
     monkeypatch.delitem(sys.modules, "their_solver")
-
-
-@pytest.mark.slow
-def test_a_plugin_runs_in_an_isolated_process():
-    """In a process of its own a plug-in is loaded, isolated from the libraries, and solves."""
-    program = f"""
-import sys
-from dpbench.solvers.table import isolate
-from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, load_solver_module
-load_solver_module({str(EXAMPLE)!r})
-isolate("admm")
-import numpy as np
-from dpbench.qp.program import QuadraticProgram
-workspace = open_workspace("admm")
-I = np.eye(2)
-workspace.setup(QuadraticProgram(I, [-3.0, 0.0], I, [-1, -1], [1, 1], [-2, -2], [2, 2]))
-workspace.solve()
-assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
-assert not [m for row in TABLE.values() if (m := row.module) and sys.modules.get(m)]
-"""
-    run_program(program)
 
 
 def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, sequence):
