@@ -25,7 +25,7 @@ HARD = {
     "dpbench.ship.estimation.kalman",
     "dpbench.solvers.own.active_set.kernel",
     "dpbench.solvers.own.hildreth",
-    "dpbench.solvers.own.safeguards.exact_point",
+    "dpbench.solvers.own.exact_point",
 }
 
 

@@ -229,7 +229,12 @@ class StagedQP:
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """The whole problem of one step."""
-        return QuadraticProgram(self.P, step.q, self.A, step.l, step.u, self.lb, self.ub)
+        n_x, n_u, N_c = self.control.model.n_x, self.control.model.n_u, self.control.N_c
+        # Of HPIPM's stages: u_{k-1} and x_k are states of stage k, Δu_k its input.
+        moved, last, behind = (n_u + n_x, n_u), (n_u + n_x, 0), (n_x, 0)
+        stages = ((0, n_u), *(moved,) * (N_c - 1), last, *(behind,) * (self.control.N_p - N_c))
+        vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
+        return QuadraticProgram(self.P, *vectors, stages=stages)
 
     def condensed(self, solution: Solution) -> Solution:
         """The answer to the condensed problem in the same units: moves and their multipliers.

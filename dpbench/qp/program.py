@@ -65,6 +65,8 @@ class QuadraticProgram:
         knowing ships; the rows belong to the n/block moves alike. 0 keeps a start as it is.
     moves : how many variables of a block, its first ones, are moves of an actuator; the rest are
         slacks, which no error of a move or of a plan counts. 0 = all.
+    stages : (states, inputs) of each stage of an optimal control problem whose variables are in
+        this order, for a solver that factorises stage by stage; () where there are none.
 
     Raises
     ------
@@ -80,6 +82,7 @@ class QuadraticProgram:
     ub: Vector
     block: int = 0
     moves: int = 0
+    stages: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
@@ -122,7 +125,7 @@ class QuadraticProgram:
         P, q, A, l, u, lb, ub = (  # noqa: E741 - the name in OSQP's notation, as `l` above
             array.copy() for array in (self.P, self.q, self.A, self.l, self.u, self.lb, self.ub)
         )
-        return QuadraticProgram(P, q, A, l, u, lb, ub, self.block, self.moves)
+        return QuadraticProgram(P, q, A, l, u, lb, ub, self.block, self.moves, self.stages)
 
     def changed_by(self, step: QPStep) -> bool:
         """Whether a step has to be solved with other matrices than those of this problem."""
@@ -146,6 +149,7 @@ class QuadraticProgram:
             self.ub if step.ub is None else step.ub,
             self.block,
             self.moves,
+            self.stages,
         )
 
 
@@ -280,7 +284,7 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
         "ub": z,
     }
     own = {name: getattr(base, name) * by for name, by in factor.items()}
-    problem = QuadraticProgram(**own, block=base.block, moves=base.moves)
+    problem = replace(base, **own)
     # The same factors for all steps: they are those of the last axes.
     steps = {name: getattr(scaled, name) * factor[name] for name in ("q", "l", "u")}
     for name in CONSTANT:

@@ -1,11 +1,11 @@
-"""The harness's own solvers: workspaces of a known cost, which solve nothing.
+"""Calibration workloads: workspaces of a known cost, which solve nothing.
 
     no_op              every method returns at once, `read` the same stored object: the harness
     copy_only          `update` copies q, l, u, `read` copies an answer out: the contract
-    busy_wait_<t>us    `solve` waits for t µs: whether the harness measures what is known
+    busy_wait_<t>us    `solve` waits for t µs: checks the measurement of a known time
 
-They run through the same path as every solver, and their answers are no answers: nobody judges or
-ranks them. What they cost is printed and subtracted nowhere.
+They run through the same path as every solver, but are neither judged nor ranked. Their cost is
+printed and subtracted nowhere.
 """
 
 from __future__ import annotations
@@ -18,15 +18,14 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step, not_set_up
-from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
+from dpbench.solvers.contract import Workspace, check_step, missing_setup_error
+from dpbench.solvers.record import NO_PROJECT_FACTS, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
-"""What each that waits does so for [ns]."""
+"""Waiting time by name [ns]."""
 
-# Waiting is the only work in `solvers` that reads a clock. The raw clock, where there is one, is
-# another than the harness's own, so that one checks the other.
+# The raw clock, where there is one, is independent of the harness's own, so that it checks it.
 _steady_ns: Callable[[], int] = (
     partial(time.clock_gettime_ns, time.CLOCK_MONOTONIC_RAW)
     if hasattr(time, "CLOCK_MONOTONIC_RAW")
@@ -52,7 +51,7 @@ def _record(name: str, method: str) -> SolverRecord:
             )
         },
         levels={},
-        project=NOT_STATED,
+        project=NO_PROJECT_FACTS,
     )
 
 
@@ -61,18 +60,18 @@ CALIBRATION: dict[str, SolverRecord] = {
     COPY_ONLY: _record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
     **{n: _record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
-"""By name, in the order they are shown; none of them is a solver of the table."""
+"""By name, in the order of display; none is a solver of the table."""
 
 
 class NoOp(Workspace):
-    """Methods that do nothing; the answer is one stored object without a number in it."""
+    """A workspace whose methods do nothing; the answer is one stored object without a number."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._answer: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store the answer that is none."""
+        """Store an empty answer."""
         self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
@@ -82,14 +81,14 @@ class NoOp(Workspace):
         """Nothing."""
 
     def read(self) -> Solution:
-        """Return the stored object: unlike a solver's, not in memory of its own."""
+        """Return the stored object."""
         if self._answer is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return self._answer
 
 
 class BusyWait(NoOp):
-    """Waits `wait_ns` by `clock` [ns] in `solve`, without giving the core away."""
+    """A workspace that waits `wait_ns` by `clock` [ns] in `solve`, without yielding the core."""
 
     def __init__(self, solver: str, wait_ns: int, clock: Callable[[], int] = _steady_ns) -> None:
         super().__init__(solver)
@@ -104,14 +103,14 @@ class BusyWait(NoOp):
 
 
 class CopyOnly(Workspace):
-    """What the contract asks of any workspace, and nothing else."""
+    """A workspace with the copies that the contract requires, and nothing else."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._size: tuple[int, int] | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Own buffers for the vectors in, and for the answer out."""
+        """Allocate buffers for the vectors and the answer."""
         self._size = qp.n, qp.m
         self.q, self.l, self.u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         self._z, self._y = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
@@ -119,7 +118,7 @@ class CopyOnly(Workspace):
     def update(self, step: QPStep) -> None:
         """Check the shapes and copy q, l, u."""
         if self._size is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, *self._size)
         self.q[:] = step.q
         self.l[:] = step.l
@@ -129,9 +128,9 @@ class CopyOnly(Workspace):
         """Nothing."""
 
     def read(self) -> Solution:
-        """Copy an answer that is none."""
+        """Copy an empty answer."""
         if self._size is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 

@@ -5,12 +5,11 @@
     solve()        the solver's work, and nothing else
     read()         copy the answer out, map signs and status
 
-The clock stands between these calls, so each must do its own duty only. A workspace turns the
+The time of each call is measured, so each must do its own duty only. A workspace turns the
 library's failures into a `Status`; it raises only for a person's mistake.
 
-What the harness hands over is for this workspace alone: answers are judged by other copies of it.
-The vectors of a step stay as they are for ever; where every step is set up, the matrices come in
-the same memory each time, made whole again before.
+The harness hands over arrays for this workspace alone. The vectors of a step never change later;
+where every step is set up, the matrices come in the same memory each time, restored before.
 """
 
 from __future__ import annotations
@@ -32,17 +31,15 @@ Form = Literal["dense", "csc"]
 
 
 class Workspace(ABC):
-    """One solver at work on a sequence of QPs of one shape.
+    """One solver with its data, for a sequence of QPs of one shape.
 
     Attributes
     ----------
-    solver, route, policy : what it is.
-    form : the form the library gets its matrices in: "dense" or "csc".
+    form : the form of the library's matrices.
     setup_every_step : the harness calls `setup` with the whole problem at every step instead of
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
-    opened_again : makes another workspace of the same solver, route, policy and settings; None
-        where whoever made this one did not say how.
+    opened_again : makes another workspace of the same solver, route, policy and settings.
     """
 
     setup_every_step: bool = False
@@ -70,9 +67,9 @@ class Workspace(ABC):
         """Return the answer, in memory of its own."""
 
     def another(self) -> Workspace:
-        """Open a workspace of the same kind, not yet set up; InputError if none is known.
+        """Open a second workspace of the same kind, not yet set up, for a cascade of two QPs.
 
-        A cascade solves two QPs at each sample, each in a workspace of its own.
+        SituationError if this one was not made by `open_workspace`.
         """
         if self.opened_again is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
@@ -97,26 +94,24 @@ def check_step(step: QPStep, n: int, m: int) -> None:
 
 
 def words_of(error: BaseException) -> str:
-    """Describe what a library raised.
+    """Describe an exception of a library; raise an interrupt again.
 
-    A person's interrupt is no failure and is raised again.
-
-    It takes whatever was raised: a panic of Rust is no `Exception`.
+    It takes any BaseException: a panic of Rust is no `Exception`.
     """
     if isinstance(error, (KeyboardInterrupt, SystemExit)):
         raise error
     return f"{type(error).__name__}: {error}"
 
 
-def not_set_up(call: str) -> DpbenchError:
+def missing_setup_error(call: str) -> DpbenchError:
     """Return the error of a workspace that is used before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 
 
-def shift_into(target: Vector, kept: Vector, block: int) -> None:
-    """Write `kept` one block earlier into `target`; the last block is zero."""
+def shift_into(target: Vector, source: Vector, block: int) -> None:
+    """Write `source` one block earlier into `target`; the last block is zero."""
     if block == 0:
-        target[:] = kept
+        target[:] = source
     elif target.size:
-        target[:-block] = kept[block:]
+        target[:-block] = source[block:]
         target[-block:] = 0.0

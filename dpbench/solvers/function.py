@@ -1,7 +1,4 @@
-"""A plain function as a solver: the shortest way to a plug-in.
-
-It is set up from nothing at each step, so `fresh` is all it can be.
-"""
+"""A plain function as a solver of policy `fresh`: the shortest plug-in."""
 
 from __future__ import annotations
 
@@ -10,13 +7,13 @@ from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, missing_setup_error
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
 
 class FunctionWorkspace(Workspace):
-    """A workspace around `solve(qp, **options) -> Solution`; what it raises is an ERROR."""
+    """A workspace around `solve(qp, **options) -> Solution`; an exception becomes an ERROR."""
 
     def __init__(self, name: str, policy: Policy, solve: Solve, options: Options) -> None:
         super().__init__(name, "native", policy)
@@ -32,7 +29,7 @@ class FunctionWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Copy the problem with what `step` changes."""
         if self._qp is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._qp.n, self._qp.m)
         self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))
@@ -42,7 +39,7 @@ class FunctionWorkspace(Workspace):
         assert self._qp is not None, "setup comes first"
         try:
             answer = self._function(self._qp, **self._options)
-            # None stands for no call here, so a function that gives it is answered for.
+            # `_solution` is None before the call, so an answer None is replaced.
             self._solution = received(answer, self._qp.n, self._qp.m) if answer is None else answer
         except MemoryError:
             raise
@@ -57,7 +54,7 @@ class FunctionWorkspace(Workspace):
         try:
             z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
         except AttributeError:
-            # No solution, or not of arrays: the words for what it is.
+            # No solution, or not of arrays.
             assert self._qp is not None, "setup comes first"
             return received(answer, self._qp.n, self._qp.m)
         return Solution(

@@ -21,7 +21,7 @@ Box = Literal["native", "rows"]
 
 
 class Sides:
-    """Which limits of a block of rows are equalities, upper sides and lower sides."""
+    """Indices of the equalities, upper and lower sides among the limits of a block of rows."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -34,12 +34,12 @@ class Sides:
 
     @staticmethod
     def pattern(low: Vector, high: Vector) -> bytes:
-        """Equal for limits of the same pattern; comparing bytes is the cheapest way to know."""
+        """Return bytes that are equal for limits with the same equal and infinite entries."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
     def same(self, low: Vector, high: Vector) -> bool:
-        """Whether these limits have the same equal and infinite entries."""
+        """Return whether these limits have the same equal and infinite entries."""
         return self.pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
@@ -65,7 +65,7 @@ class Sides:
         y_equal[:] = y[self.equal]
 
     def multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Two-sided multipliers from those of the inequality rows z and the equality rows y."""
+        """Return two-sided multipliers from z of the inequality and y of the equality rows."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -77,13 +77,13 @@ class Sides:
 
 
 class OneSidedForm:
-    """Constant matrices in a library's form, and the buffers its vectors are filled into.
+    """Constant matrices in a library's form, and buffers for its vectors.
 
     Parameters
     ----------
     qp : the problem; its matrices are copied.
     form : "dense" (C-contiguous) or "csc" matrices.
-    box : whether bounds stay bounds or become rows behind those of A.
+    box : "native" for bounds as bounds, "rows" for rows behind those of A.
     """
 
     def __init__(self, qp: QuadraticProgram, form: Form, box: Box) -> None:
@@ -106,13 +106,14 @@ class OneSidedForm:
         if self._box is not None:
             self._box.fill(qp.lb, qp.ub, h[self._rows :], b[self._equalities :])
         self.q = np.empty(qp.n)
-        self.P = _as_form(qp.P, form)
-        self.G: Any = _as_form(G, form) if h.size else None
-        self.A: Any = _as_form(A, form) if b.size else None
+        convert: Any = scipy.sparse.csc_matrix if form == "csc" else np.array
+        self.P = convert(qp.P)
+        self.G: Any = convert(G) if h.size else None
+        self.A: Any = convert(A) if b.size else None
         self.h, self.b = h if h.size else None, b if b.size else None
 
     def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Whether limits of the rows have the pattern this form was built for."""
+        """Return whether limits of the rows have the pattern this form was built for."""
         return self._sides.same(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
@@ -135,10 +136,7 @@ class OneSidedForm:
             self._box.split(y_box, z[self._rows :], equal[self._equalities :])
 
     def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
-        """Return y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`.
-
-        None if they are absent.
-        """
+        """Return y (m,) and y_box (n,) of a `qpsolvers.Solution`; None if they are absent."""
         z = _vector(z, 0 if self.h is None else self.h.size)
         y = _vector(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
@@ -152,14 +150,8 @@ class OneSidedForm:
         return rows, bounds.copy() if bounds.size else np.zeros(self._n)
 
 
-def _as_form(M: Matrix, form: Form) -> Any:
-    if form == "csc":
-        return scipy.sparse.csc_matrix(M)
-    return np.array(M, dtype=np.float64, order="C")
-
-
 def _vector(value: Any, size: int) -> Vector | None:
-    """`value` as a float64 vector, an empty one where none is expected, None if it is unfit."""
+    """Return `value` as a float64 vector of a size; None if it is not one."""
     if size == 0:
         return np.empty(0)
     if value is None:

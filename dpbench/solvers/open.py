@@ -1,4 +1,4 @@
-"""Open a workspace by the name of its solver; nothing else does."""
+"""Open a workspace by the name of its solver."""
 
 from __future__ import annotations
 
@@ -25,36 +25,35 @@ def open_workspace(
     Parameters
     ----------
     solver : a name of the table, of a plug-in, or one that qpsolvers serves.
-    route : "qpsolvers" or "native"; None takes the solver's own default.
+    route : "qpsolvers" or "native"; None for the solver's default.
     policy : "fresh", "reuse" or "warm", where the route has it.
     settings : a name of its settings, or a mapping of the solver's own keys.
-    step_limit_s : time after which a library that has an option for it ends a solve [s], unless
-        its settings say otherwise; None for the library's own.
+    step_limit_s : time limit of a solve [s] for a library with an option for it, unless `settings`
+        has this option.
 
     Raises
     ------
     UnknownNameError : there is no such solver.
-    PolicyError : the solver has no such route, or the route no such policy; says why.
+    PolicyError : the solver has no such route, or the route no such policy.
     SettingsError : unknown name, or a key or value that the library does not accept.
-    SolverUnavailableError : the library is missing or fails to import; names the remedy.
+    SolverUnavailableError : the library is missing or fails to import.
     """
     row = record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)
-    opened = partial(_opened, row, route, policy, settings, step_limit_s)
-    workspace = opened()
-    workspace.opened_again = opened
+    make = partial(_make_workspace, row, route, policy, settings, step_limit_s)
+    workspace = make()
+    workspace.opened_again = make
     return workspace
 
 
-def _opened(
+def _make_workspace(
     row: SolverRecord,
     route: Route,
     policy: Policy,
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """Open a workspace of a route and policy that the solver has."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None
@@ -66,8 +65,7 @@ def _opened(
     options = {**limits, **resolve(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
-    # qpsolvers imports every library it finds, so it is imported only when it is needed, and
-    # without their warnings.
+    # qpsolvers imports every library it finds, so it is imported only when needed.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from dpbench.solvers.libraries.qpsolvers_workspace import QpsolversWorkspace

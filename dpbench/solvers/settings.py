@@ -1,7 +1,7 @@
-"""What the names of a solver's settings mean, and whether its own keys and values are accepted.
+"""The options of a name of settings, and validation of a solver's own keys and values.
 
-The tolerance levels `default`, `low`, `mid` and `high` and further names of a solver stand in its
-record (`by_tolerance`); they mean the same on both routes.
+The tolerance levels `default`, `low`, `mid` and `high` and further names of a solver are in its
+record (`by_tolerance`), for both routes.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from dpbench.solvers.table import record
 
 
 def settings_matter(solver: str) -> bool:
-    """Whether the tolerance levels differ for this solver."""
+    """Return whether the tolerance levels of a solver differ."""
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
 
 def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
-    """Return the options that `settings` means for a library.
+    """Return the options of `settings` for a library.
 
     Raises
     ------
-    SettingsError : for a name that it does not have, a key the library does not have, or a value
-        that its settings object refuses.
+    SettingsError : for an unknown name or key, or a value that the library's settings object
+        refuses.
     """
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
-    target = None if adapter.settings_object is None else adapter.settings_object()
-    if adapter.option_names is not None:
-        check_names(name, settings, adapter.option_names())
+    target = None if adapter.make_settings is None else adapter.make_settings()
+    if adapter.list_options is not None:
+        check_names(name, settings, adapter.list_options())
     elif target is not None:
         check_names(name, settings, attributes(target))
     if target is not None:
@@ -43,7 +43,7 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """List the settings of a solver: the tolerance levels and what it has beside them."""
+    """List the names of settings of a solver: the tolerance levels and its own."""
     return tuple(dict.fromkeys((*LEVELS, *record(solver).levels)))
 
 
@@ -57,17 +57,15 @@ def tolerance_of(name: str) -> float | None:
 
 
 def has_setting(solver: str, name: str) -> bool:
-    """Whether a solver has settings of that name: its own, or a tolerance it can be given."""
-    return name in setting_names(solver) or _at_tolerance(solver, name) is not None
+    """Return whether a solver has settings of that name, a tolerance such as "1e-4" included."""
+    return name in setting_names(solver) or _options_at_tolerance(solver, name) is not None
 
 
-def _at_tolerance(solver: str, name: str) -> Options | None:
-    """Return the options of a stated tolerance, between the levels or beyond them.
+def _options_at_tolerance(solver: str, name: str) -> Options | None:
+    """Return the options of a tolerance, between the levels or beyond them; None for other names.
 
-    None where neither.
-
-    What is the tolerance itself at `low`, `mid` and `high` is this one here; the rest is as at
-    `mid`. A solver without a tolerance to set has nothing to change.
+    Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
+    `mid`.
     """
     tolerance, levels = tolerance_of(name), record(solver).levels
     if tolerance is None:
@@ -75,54 +73,42 @@ def _at_tolerance(solver: str, name: str) -> Options | None:
     if not settings_matter(solver):
         return levels.get(DEFAULT, {})
     mid = levels[MID]
-    stated = [
-        key for key in mid if all(levels[at].get(key) == eps for at, eps in TOLERANCES.items())
-    ]
-    return {**mid, **dict.fromkeys(stated, tolerance)} if stated else None
+    keys = [k for k in mid if all(levels[at].get(k) == eps for at, eps in TOLERANCES.items())]
+    return {**mid, **dict.fromkeys(keys, tolerance)} if keys else None
 
 
 def level_options(name: str, solver: str) -> Options:
     """Return the options of a setting by name for a solver; SettingsError if there is none."""
-    names, stated = setting_names(solver), _at_tolerance(solver, name)
-    if name not in names and stated is None:
+    names, options = setting_names(solver), _options_at_tolerance(solver, name)
+    if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
         raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
-    return record(solver).levels.get(name, {}) if stated is None else stated
+    return record(solver).levels.get(name, {}) if options is None else options
 
 
 def describe_levels(solver: str) -> str:
-    """One line per name of its settings: what it sets, "the library's defaults" for nothing."""
+    """Return one line per name of its settings, with the options that it sets."""
     lines = []
     for name in setting_names(solver):
-        keys = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
-        lines.append(f"{name}: {keys or _nothing(name, solver)}")
+        text = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
+        if not text and (name == DEFAULT or settings_matter(solver)):
+            text = "the library's defaults"
+        lines.append(f"{name}: {text or 'as default: it has no tolerance to set'}")
     return "\n".join(lines)
 
 
-def _nothing(name: str, solver: str) -> str:
-    if settings_matter(solver) or name == DEFAULT:
-        return "the library's defaults"
-    return "as default: it has no tolerance to set"
-
-
 def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
-    """Raise SettingsError naming the first key that is not allowed, and its nearest neighbours.
+    """Raise SettingsError for the first key that is not allowed, with the nearest allowed ones.
 
-    The libraries behind qpsolvers cannot be trusted with this: several drop what they do not know.
+    Several libraries behind qpsolvers ignore unknown keys.
     """
     known = sorted(allowed)
-    for key in _flat(settings):
-        if key not in known:
-            allowed = one_of(key, known) if known else "no settings"
-            raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
-
-
-def _flat(settings: Mapping[str, object]) -> Iterable[str]:
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from (f"{key}.{member}" for member in value)
-        else:
-            yield key
+    for name, value in settings.items():
+        keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
+        for key in keys:
+            if key not in known:
+                allowed = one_of(key, known) if known else "no settings"
+                raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
 
 
 def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> None:

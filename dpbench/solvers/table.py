@@ -1,82 +1,90 @@
-"""The table of solvers: what there is, what each can do, and whether it is installed here."""
+"""The table of solvers, their availability here, and isolation of one from the others."""
 
 from __future__ import annotations
 
 import importlib
+import sys
 import warnings
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from pathlib import Path
 
-from dpbench.errors import SolverUnavailableError, UnknownNameError, one_of
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
+from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, one_of
+from dpbench.solvers import plugins
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_found
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.contract import words_of
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
-from dpbench.solvers.libraries.generic import generic_adapter, is_served
 from dpbench.solvers.own.adapters import OWN
-from dpbench.solvers.plugins import (
-    entry_point_names,
-    find_plugin,
-    load_file,
-    loaded_names,
-    try_file,
+from dpbench.solvers.record import (
+    NO_PROJECT_FACTS,
+    UNKNOWN_BUILD,
+    Build,
+    RouteRecord,
+    SolverRecord,
 )
-from dpbench.solvers.record import UNREAD, Build, SolverRecord
 
 LISTING = "dpbench list solvers"
 """The command that lists all solvers."""
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
-    name: _ON_NATIVE[name].record if name in _ON_NATIVE else THROUGH_QPSOLVERS[name].record
+    name: (_ON_NATIVE if name in _ON_NATIVE else THROUGH_QPSOLVERS)[name].record
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
 """The own solvers and the libraries with an adapter, in alphabetical order."""
+# Libraries that qpsolvers looks for and that are not in the table.
+OTHER_LIBRARIES = (
+    "coptpy",
+    "gurobipy",
+    "hpipm_python",
+    "jax",
+    "mosek",
+    "nppro",
+    "pdhcg",
+    "qpoases",
+    "qpSWIFT",
+)
 
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a solver can be used here; `reason` says why not and what installs it."""
+    """Whether a solver can be used here; `reason` is why not and the command that installs it."""
 
     ok: bool
     version: str = ""
     reason: str = ""
-    build: Build = UNREAD
+    build: Build = UNKNOWN_BUILD
 
     @property
     def identity(self) -> str:
-        """Version and build: times of another of the two are not those of this library."""
+        """Version and build, which times depend on."""
         return f"{self.version} {self.build.text}".strip()
 
 
 def solver_names() -> tuple[str, ...]:
-    """Every solver of the table, installed or not, and every plug-in, in alphabetical order.
-
-    The harness's own (`calibration.py`) have records but are no solvers, and not among them.
-    """
-    return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
+    """List the solvers of the table, installed or not, and the plug-ins, in alphabetical order."""
+    return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
 
 
 def record(name: str) -> SolverRecord:
-    """Look up a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
-
-    The harness's own have a row too.
+    """Look up a solver: of the table, a calibration workload, a plug-in, or one of qpsolvers alone.
 
     Raises
     ------
     UnknownNameError : there is no such solver.
     InputError : it is a plug-in that fails to load.
     """
-    if name in TABLE:
-        return TABLE[name]
-    if name in CALIBRATION:
-        return CALIBRATION[name]
-    plugin = find_plugin(name)
+    row = TABLE.get(name) or CALIBRATION.get(name)
+    if row is not None:
+        return row
+    plugin = plugins.find_plugin(name)
     if plugin is not None:
         return plugin.record
-    if is_served(name):
-        return generic_adapter(name).record
+    if _is_served(name):
+        return _generic_adapter(name).record
     raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names(), listing=LISTING))
 
 
@@ -86,17 +94,56 @@ def native_adapter(name: str) -> NativeAdapter:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
         )
-    plugin = None if name in TABLE else find_plugin(name)
+    plugin = _find_plugin(name)
     return _ON_NATIVE[name] if plugin is None else plugin.adapter
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """Return the adapter of a solver on route qpsolvers."""
-    return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
+    return THROUGH_QPSOLVERS.get(name) or _generic_adapter(name)
+
+
+def _find_plugin(name: str) -> plugins.Plugin | None:
+    return None if name in TABLE else plugins.find_plugin(name)
+
+
+def _is_served(name: str) -> bool:
+    """Return whether qpsolvers has a solver of that name; without importing qpsolvers."""
+    loaded = sys.modules.get("qpsolvers")
+    if loaded is not None and name in loaded.available_solvers:
+        return True
+    spec = find_spec("qpsolvers") if loaded is None else loaded.__spec__
+    folders = [f"{folder}/solvers" for folder in (spec and spec.submodule_search_locations) or ()]
+    return name.isidentifier() and PathFinder.find_spec(f"{name}_", folders) is not None
+
+
+def _generic_adapter(name: str) -> QpsolversAdapter:
+    """Make the adapter of a solver that only qpsolvers has; it checks no settings.
+
+    Its matrices stay dense and its bounds bounds, as qpsolvers takes them.
+    """
+    can = RouteRecord(
+        ("fresh",),
+        detects_infeasibility=False,
+        refused={"warm": "whether it takes a start is not known"},
+    )
+    record = SolverRecord(
+        name=name,
+        family="not stated",
+        method="not in the table; as qpsolvers drives it",
+        distribution=name,
+        module="qpsolvers",
+        extra="qpsolvers",
+        form="dense",
+        routes={"qpsolvers": can},
+        levels={},
+        project=NO_PROJECT_FACTS,
+    )
+    return QpsolversAdapter(record, "native", read_found)
 
 
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
-    """Load a plug-in from a Python file, so that its name is one of a solver in this process.
+    """Load a plug-in from a Python file, so that this process has a solver of its name.
 
     Parameters
     ----------
@@ -107,28 +154,24 @@ def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
     if not tried:
-        try_file(path)
-    return load_file(path, {**TABLE, **CALIBRATION})
+        plugins.try_file(path)
+    return plugins.load_file(path, {**TABLE, **CALIBRATION})
 
 
+# Parsing takes 2 ms, and a suite calls this thousands of times.
 @cache
 def _version(distribution: str) -> str:
-    """Of an installed distribution: a suite asks thousands of times, parsing it takes 2 ms."""
     return metadata.version(distribution)
 
 
 def available(name: str) -> Availability:
-    """Import the library of a solver and say whether it worked.
-
-    A library that fails in its own way while it is imported is a library that is not available,
-    whatever it raised.
-    """
+    """Import the library of a solver and return whether that worked, whatever it raised."""
     row = record(name)
     if row.extra == "own":
         return Availability(True, _version("dpbench"))
     if row.extra == "qpsolvers":
-        return _through_qpsolvers(name)
-    plugin = None if name in TABLE else find_plugin(name)
+        return _available_in_qpsolvers(name)
+    plugin = _find_plugin(name)
     if plugin is not None:
         return Availability(True, plugin.version)
     try:
@@ -136,8 +179,8 @@ def available(name: str) -> Availability:
     except metadata.PackageNotFoundError:
         return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
     try:
+        # A library that warns on import is available all the same.
         with warnings.catch_warnings():
-            # A library that warns on import is available all the same.
             warnings.simplefilter("ignore")
             importlib.import_module(row.module)
             build = row.build()
@@ -148,15 +191,14 @@ def available(name: str) -> Availability:
 
 
 def check_available(name: str) -> None:
-    """Raise SolverUnavailableError where a solver cannot be used, with what installs it."""
+    """Raise SolverUnavailableError, with the remedy, where a solver cannot be used."""
     here, remedy = available(name), record(name).remedy
     if not here.ok:
         advice = "" if remedy in here.reason else f"; {remedy}"
         raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
 
 
-def _through_qpsolvers(name: str) -> Availability:
-    """Whether qpsolvers found the library of a solver that is not in the table."""
+def _available_in_qpsolvers(name: str) -> Availability:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
@@ -166,3 +208,26 @@ def _through_qpsolvers(name: str) -> Availability:
         return Availability(True, _version(name))
     except metadata.PackageNotFoundError:
         return Availability(True, f"qpsolvers {_version('qpsolvers')}")
+
+
+def isolate(*solvers: str) -> None:
+    """Hide every solver library but those of `solvers` from this process, for good.
+
+    `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
+    threads and lets one library's OpenMP or BLAS settings act on another's.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    DpbenchError : qpsolvers was imported before, so it is too late.
+    """
+    rows = [record(solver) for solver in solvers]
+    if "qpsolvers" in sys.modules:
+        raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
+    used = {module for row in rows for module in (row.module, *row.needs_modules)}
+    modules = {entry.module for entry in TABLE.values() if entry.module}
+    # The modules that a solver outside the table needs are unknown.
+    others = () if any(row.extra == "qpsolvers" for row in rows) else OTHER_LIBRARIES
+    for module in (*modules, *others):
+        if module not in used:
+            sys.modules[module] = None  # type: ignore[assignment]  # None is how Python hides one

@@ -1,7 +1,5 @@
 """To add a solver is to add its file: in a copy of the package, as CONTRIBUTING says."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -57,29 +55,26 @@ import json
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.settings import describe_levels, resolve, setting_names
 from dpbench.solvers.table import TABLE, available, native_adapter
-told = {{}}
+facts = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
-    told[name] = dict(
+    facts[name] = dict(
         routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
         c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
-told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
-print(json.dumps(told))
+facts["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
+print(json.dumps(facts))
 """
-    told: dict[str, Any] = json.loads(_run(copied, "-c", program))
-    native, wrapped = (told[name] for name in NEWCOMERS)
+    facts: dict[str, Any] = json.loads(_run(copied, "-c", program))
+    native, wrapped = (facts[name] for name in NEWCOMERS)
     assert native["routes"] == {"native": ["fresh"]}
     assert wrapped["routes"] == {"qpsolvers": ["fresh"]}
     assert native["levels"][:2] == ["default: care=1", "low: care=1, precision=0.001"]
-    assert told["own key"] == {"care": 1, "precision": 0.5}
-    assert (native["licence"], native["language"], native["c_code"]) == (
-        "MIT",
-        "C",
-        "yes, all of it",
-    )
+    assert facts["own key"] == {"care": 1, "precision": 0.5}
+    project = native["licence"], native["language"], native["c_code"]
+    assert project == ("MIT", "C", "yes, all of it")
     assert native["refusal"] == "the example keeps nothing"
     assert (native["family"], wrapped["family"]) == ("augmented Lagrangian", "active set")
     assert all(one[key] for one in (native, wrapped) for key in ("ok", "aboard", "coloured"))
@@ -89,9 +84,7 @@ print(json.dumps(told))
 def test_it_is_listed(copied: Path) -> None:
     """`dpbench list solvers` tells of it."""
     listed = _run(copied, "-m", "dpbench", "list", "solvers")
-    assert re.search(r"^newcomer\b", listed, re.M) and re.search(
-        r"^newcomer_wrapped\b", listed, re.M
-    )
+    assert all(re.search(rf"^{name}\b", listed, re.M) for name in NEWCOMERS)
     assert "that of the" in listed[listed.index("newcomer") :]
 
 

@@ -1,7 +1,5 @@
 """How a library was built is read from the library, not asserted."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from importlib import import_module
@@ -10,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from dpbench.solvers.libraries.hpipm.library import build_of
+from dpbench.solvers.libraries.hpipm import read_blasfeo_build
 from dpbench.solvers.record import Build, vectorised_build
 from dpbench.solvers.table import Availability, available
 
@@ -37,18 +35,17 @@ class Blasfeo:
         (Blasfeo(AVX2 | FMA, b" AVX2 FMA"), Build("BLASFEO AVX2 FMA")),
         (object(), Build()),
     ],
-    ids=["generic", "haswell", "silent"],
 )
 def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     library: object, build: Build
 ) -> None:
     """A target with vector instructions is named by them; a library that does not say is not."""
-    assert build_of(library) == build
+    assert read_blasfeo_build(library) == build
 
 
 @pytest.mark.skipif(not available("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
-def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
+def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     """The library says generic exactly where the header it was installed with has that target."""
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")

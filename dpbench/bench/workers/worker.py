@@ -52,9 +52,8 @@ from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import Availability, load_solver_module
+from dpbench.solvers.table import Availability, isolate, load_solver_module
 
 Hang = tuple[int, int]
 """Round, 0 in a closed loop, and step in which a process hung."""

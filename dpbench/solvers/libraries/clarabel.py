@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.sparse
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by
+from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="clarabel",
@@ -31,7 +32,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "Clarabel, metadata of its distribution"),
         language=("Rust", "Clarabel, metadata of its distribution"),
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
@@ -54,19 +55,23 @@ STATUS = {
 }
 
 
-def claimed(status: Any, iterations: int, solve_s: float) -> Claim:
-    """Read Clarabel's claim; it counts its set-up in the time it reports."""
+def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
+    """Make Clarabel's claim; the time it reports includes its set-up."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Status and time; qpsolvers drops the iterations."""
-    return claimed(answer.extras["status"], -1, answer.extras["solve_time"])
+    """Read status and time; qpsolvers drops the iterations."""
+    return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
 
 
-settings_object = made_by("clarabel", "DefaultSettings")
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, settings_object=settings_object)
+def make_settings() -> Any:
+    """Return the library's settings at their defaults."""
+    return import_module("clarabel").DefaultSettings()
+
+
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, make_settings=make_settings)
 
 
 class ClarabelWorkspace(OneSidedWorkspace):
@@ -82,7 +87,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._equalities = equalities
 
     def _create(self) -> None:
-        settings = settings_object()
+        settings = make_settings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
         self._configure(settings)
@@ -94,13 +99,13 @@ class ClarabelWorkspace(OneSidedWorkspace):
     def _send(self) -> None:
         self._solver.update(q=self._form.q, b=self._form.bh)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         result = self._result
-        return claimed(result.status, int(result.iterations), result.solve_time)
+        return make_claim(result.status, int(result.iterations), result.solve_time)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(ClarabelWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(ClarabelWorkspace)

@@ -1,11 +1,7 @@
-"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied.
-
-Behind qpsolvers, which passes on whether an answer was found and nothing else.
-"""
+"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied."""
 
 from __future__ import annotations
 
-import inspect
 from importlib import import_module
 from math import isfinite
 from typing import Any
@@ -15,7 +11,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, found_is_all
+from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, keywords, read_found
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 from dpbench.solvers.record import (
@@ -24,7 +20,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
 RECORD = SolverRecord(
@@ -56,7 +52,7 @@ RECORD = SolverRecord(
     # dual_tol stays at DAQP's own 1e-12, which is tighter.
     # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
     levels=by_tolerance("primal_tol", "eta_prox"),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "DAQP, metadata of its distribution"),
         language=("C, library-free", "DAQP README"),
         c_code=("yes, it writes its workspace as C", "DAQP source, codegen"),
@@ -69,19 +65,12 @@ RECORD = SolverRecord(
     time_limit="time_limit",
 )
 
-DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}
-STARTS = {"primal_start", "dual_start"}
-
-
-def option_names() -> list[str]:
-    """List the keywords of `daqp.solve` that are neither data nor a start."""
-    names = inspect.signature(import_module("daqp").solve).parameters
-    return [name for name in names if name not in DATA | STARTS]
-
-
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", found_is_all, option_names)
-
-
+# Keywords of `daqp.solve` that are no options.
+DATA = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi")
+STARTS = ("primal_start", "dual_start")
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "native", read_found, lambda: keywords("daqp", "solve", *DATA, *STARTS)
+)
 STATUS = {
     1: Status.SOLVED,
     2: Status.SOLVED,  # soft optimal: no constraint is soft here
@@ -111,7 +100,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._low[:n], self._high[:n] = self._lb, self._ub
         self._low_rows, self._high_rows = self._low[n:], self._high[n:]
         self._sense = np.zeros(n + m, dtype=np.intc)
-        # To give it the kind of each constraint again empties its active set.
+        # The kinds of constraints, given again, empty its active set.
         sense = None if self._warm else self._sense
         self._vectors = None, self._f, None, self._high, self._low, sense
         self._f_view: Any = self._f.data
@@ -130,22 +119,13 @@ class DaqpWorkspace(NativeWorkspace):
         self._unusable = flag < 0
 
     def update(self, step: QPStep) -> None:
-        """As inherited, written out for the usual step: DAQP itself takes 1.5 µs for it.
-
-        Assigning to a memoryview copies faster than NumPy does and refuses another shape.
-        """
-        if (
-            self._result[2] != 1
-            or self._unusable
-            or self.setup_every_step
-            or step.P is not None
-            or step.A is not None
-            or step.lb is not None
-            or step.ub is not None
-        ):
+        """Take a shorter path for the usual step: DAQP itself takes 1.5 µs for it."""
+        new = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
+        if new or self._result[2] != 1 or self._unusable or self.setup_every_step:
             super().update(step)
             return
         try:
+            # Assigning to a memoryview is faster than NumPy and refuses another shape.
             self._f_view[:] = step.q
             self._low_view[:] = step.l
             self._high_view[:] = step.u
@@ -160,7 +140,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = self._update(*self._vectors)
 
     def solve(self) -> None:
-        """As inherited, written out for the usual problem."""
+        """Take a shorter path for the usual problem."""
         if self._refused or self._failure:
             super().solve()
             return
@@ -174,7 +154,7 @@ class DaqpWorkspace(NativeWorkspace):
             self._result = self._solve()
 
     def read(self) -> Solution:
-        """As inherited, written out for the usual answer."""
+        """Take a shorter path for the usual answer."""
         z, value, flag, info = self._result
         if flag != 1 or not self._done or not isfinite(value):
             return super().read()
@@ -183,12 +163,12 @@ class DaqpWorkspace(NativeWorkspace):
         reported_ns = int(info["solve_time"] * 1e9)
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         z, _, _, info = self._result
         if z is None:
             return None

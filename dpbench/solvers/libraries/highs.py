@@ -1,10 +1,8 @@
-"""HiGHS: two-sided, vectors changed in its model, no start.
-
-Behind qpsolvers, which passes on whether an answer was found and nothing else.
-"""
+"""HiGHS: two-sided, vectors changed in its model, no start."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -13,9 +11,15 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, found_is_all, made_by
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_found
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    project_facts,
+)
 
 TIME_LIMIT = "time_limit"
 
@@ -42,7 +46,7 @@ RECORD = SolverRecord(
     levels=by_tolerance(
         "primal_feasibility_tolerance", "dual_feasibility_tolerance", qp_regularization_value=0.0
     ),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
     ),
@@ -50,13 +54,17 @@ RECORD = SolverRecord(
 )
 
 
-settings_object = made_by("highspy", "HighsOptions")
+def make_settings() -> Any:
+    """Return the library's settings at their defaults."""
+    return import_module("highspy").HighsOptions()
+
+
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    found_is_all,
-    settings_object=settings_object,
+    read_found,
+    make_settings=make_settings,
     iterate_when_not_found=False,
 )
 
@@ -69,17 +77,10 @@ STATUS = {
     "kUnboundedOrInfeasible": Status.PRIMAL_INFEASIBLE,
     "kIterationLimit": Status.MAX_ITERATIONS,
     "kTimeLimit": Status.TIME_LIMIT,
-    "kLoadError": Status.ERROR,
-    "kModelError": Status.ERROR,
-    "kPresolveError": Status.ERROR,
     "kSolveError": Status.NUMERICAL_ERROR,
-    "kPostsolveError": Status.ERROR,
-    "kMemoryLimit": Status.ERROR,
-    "kInterrupt": Status.ERROR,
-    "kHighsInterrupt": Status.ERROR,
-    "kUnknown": Status.UNKNOWN,
-    "kNotset": Status.UNKNOWN,
 }
+_ERRORS = "LoadError ModelError PresolveError PostsolveError MemoryLimit Interrupt HighsInterrupt"
+STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 
 
 class HighsWorkspace(NativeWorkspace):
@@ -128,12 +129,12 @@ class HighsWorkspace(NativeWorkspace):
             self._solver.setOptionValue(TIME_LIMIT, self._solver.getRunTime() + limit_s)
         self._solver.run()
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         solution = self._solver.getSolution()
         if not solution.value_valid:
             return None
@@ -145,4 +146,4 @@ class HighsWorkspace(NativeWorkspace):
         return np.array(solution.col_value), y, y_box
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(HighsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(HighsWorkspace)

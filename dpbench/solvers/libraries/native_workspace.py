@@ -1,11 +1,11 @@
-"""What every native workspace has in common: its data, its life cycle and its failures.
+"""The common base of native workspaces: data, life cycle and failures.
 
     setup     copies the problem and makes a new library object from the copies
     update    fresh: the same; else the vectors go to the library
     solve     the library's own call
     read      one `Solution`, copied out of the library's memory
 
-A library that raised, or left an answer nobody can use, is made anew before the next step.
+A library object that raised, or left no usable answer, is made anew before the next step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.program import QPStep, QuadraticProgram, rows_per_block
+from dpbench.qp.program import CONSTANT, QPStep, QuadraticProgram, rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import (
@@ -26,7 +26,7 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    missing_setup_error,
     shift_into,
     words_of,
 )
@@ -39,15 +39,10 @@ SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
 
 class NativeWorkspace(Workspace):
-    """A library at work through its own interface.
+    """A library through its own interface.
 
-    A subclass gives `_convert` (the matrices `_P, _A, _lb, _ub` in the library's form, once, as
-    route qpsolvers does), `_build` (a new library object from these and `_q, _l, _u`),
-    `_hand_over` (the vectors of a step), `_call` (the solve, unless it is `_solver.solve()`),
-    `_claimed` (what the library says of its answer, in its own word for the status) and `_point`
-    (the answer); whatever these raise becomes the status ERROR with the library's words.
-
-    Where the record says that a warm start is made of vectors, `_start` holds the previous answer.
+    Whatever a method of a subclass raises becomes the status ERROR with the library's words. Where
+    a warm start is made of vectors, `_start` holds the previous answer.
 
     Parameters
     ----------
@@ -69,17 +64,18 @@ class NativeWorkspace(Workspace):
         self._given_start = self._warm and record.on("native").start != "active set"
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
+        self._stages: tuple[tuple[int, int], ...] = ()
         self._converted = self._used = False
         self._matrices_given: tuple[Matrix, ...] = ()
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
     def _convert(self) -> None:
-        """Bring the matrices into the library's form; they are new."""
+        """Bring new matrices `_P, _A, _lb, _ub` into the library's form."""
 
     @abstractmethod
     def _build(self) -> None:
-        """Make a new library object of the workspace's own data."""
+        """Make a new library object of the converted matrices and `_q, _l, _u`."""
 
     @abstractmethod
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
@@ -90,19 +86,12 @@ class NativeWorkspace(Workspace):
         self._result = self._solver.solve()
 
     @abstractmethod
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         """Read the library's claim about its last answer."""
 
     @abstractmethod
-    def _point(self) -> Point | None:
-        """z, y and y_box in memory of their own, None if there are none; asked of usable ones."""
-
-    def _answer(self) -> Solution:
-        status, iterations, reported_ns, detail = self._claimed()
-        point = self._point() if status.usable else None
-        if point is None:
-            return self._missing(status, iterations, reported_ns, detail)
-        return Solution(status, *point, iterations, reported_ns, detail)
+    def _read_point(self) -> Point | None:
+        """Return z, y and y_box of a usable answer in new memory; None if there are none."""
 
     def _configure(self, settings: Any) -> None:
         """Write the options into a settings object of the library."""
@@ -110,12 +99,12 @@ class NativeWorkspace(Workspace):
             setattr(settings, name, value)
 
     def _limits_of_all(self) -> tuple[Vector, Vector]:
-        """Make buffers for the limits of [A; I], with the bounds in their places."""
+        """Return buffers for the limits of [A; I], with the bounds filled in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
     def _build_for(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Keep the vectors of a step and make a new library object for them."""
+        """Store the vectors of a step and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
         self._renew()
 
@@ -124,39 +113,39 @@ class NativeWorkspace(Workspace):
             self._start = Start(self._n, self._m, self._block)
         self._build()
 
-    def _advanced(self) -> bool:
-        """Whether there is a start for this step; `_start` is it."""
+    def _has_start(self) -> bool:
+        """Move `_start` on to this step; return whether there is one."""
         return self._given_start and self._start.advance()
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem and make a new library object; forgets every earlier answer."""
+        """Copy the problem, make a new library object and forget every earlier answer."""
         self._forget()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
-        if not (self._converted and self._block == qp.block and self._same_matrices(qp)):
-            self._n, self._m, self._block = qp.n, qp.m, qp.block
+        order = (self._block, self._stages) == (qp.block, qp.stages)
+        if not (self._converted and order and self._has_matrices(qp)):
+            self._n, self._m, self._block, self._stages = qp.n, qp.m, qp.block, qp.stages
             self._P, self._A = qp.P.copy(), qp.A.copy()
             self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
             self._matrices_given = qp.P, qp.A, qp.lb, qp.ub
             self._converted = False
         self._rebuild()
 
-    def _same_matrices(self, qp: QuadraticProgram) -> bool:
-        """Whether the matrices are those kept; the very arrays are, if nobody can write to them."""
-        kept, given = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
-        if kept and all(a is b and not b.flags.writeable for a, b in zip(kept, given, strict=True)):
+    def _has_matrices(self, qp: QuadraticProgram) -> bool:
+        """Return whether the matrices are equal to the own copies."""
+        old, new = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
+        if old and all(a is b and not b.flags.writeable for a, b in zip(old, new, strict=True)):
             return True
-        return (
-            _same(self._P, qp.P)
-            and _same(self._A, qp.A)
-            and _same(self._lb, qp.lb)
-            and _same(self._ub, qp.ub)
+        own = self._P, self._A, self._lb, self._ub
+        # Comparing bytes is the cheapest way.
+        return all(
+            a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in zip(own, new, strict=True)
         )
 
     def update(self, step: QPStep) -> None:
-        """Hand over the vectors; new matrices are kept and the library object made anew."""
+        """Hand over the vectors; for new matrices make the library object anew."""
         n, m = self._n, self._m
         if n < 0:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         q, low, high = step.q, step.l, step.u
         matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
@@ -166,7 +155,11 @@ class NativeWorkspace(Workspace):
         self._done = False
         if matrices:
             self.matrix_updates += 1
-            self._keep(step)
+            self._converted, self._matrices_given = False, ()
+            for name in CONSTANT:
+                value = getattr(step, name)
+                if value is not None:
+                    setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
         if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
             self._rebuild()
@@ -175,13 +168,6 @@ class NativeWorkspace(Workspace):
             self._hand_over(q, low, high)
         except BaseException as error:
             self._fail(error)
-
-    def _keep(self, step: QPStep) -> None:
-        for name in ("P", "A", "lb", "ub"):
-            value = getattr(step, name)
-            if value is not None:
-                setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
-        self._converted, self._matrices_given = False, ()
 
     def _rebuild(self) -> None:
         self._unusable = self._used = False
@@ -198,7 +184,7 @@ class NativeWorkspace(Workspace):
         self._failure, self._unusable = words_of(error), True
 
     def solve(self) -> None:
-        """Solve; whatever the library raises is kept for `read`."""
+        """Solve; store whatever the library raises for `read`."""
         if self._failure:
             return
         self._done = self._unread = self._used = True
@@ -208,20 +194,24 @@ class NativeWorkspace(Workspace):
             self._fail(error)
 
     def read(self) -> Solution:
-        """Return the answer; one that nobody can use makes the next update start from nothing."""
+        """Return the answer; after an unusable one the next update starts from nothing."""
         if self._n < 0:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         if self._failure:
             self._unread = False
             return self._missing(Status.ERROR, -1, -1, self._failure)
         if not self._done:
             return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
-        solution = self._answer()
-        if solution.status is SOLVED:
-            solution.detail = ""
+        status, iterations, reported_ns, detail = self._read_claim()
+        detail = "" if status is SOLVED else detail
+        point = self._read_point() if status.usable else None
+        if point is None:
+            solution = self._missing(status, iterations, reported_ns, detail)
+        else:
+            solution = Solution(status, *point, iterations, reported_ns, detail)
         if self._unread:
             self._unread = False
-            # The square of z tells whether there is a NaN or an infinity in it.
+            # The square of z is finite if z has neither a NaN nor an infinity.
             z = solution.z
             self._unusable = not (solution.status.usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
@@ -229,7 +219,7 @@ class NativeWorkspace(Workspace):
         return solution
 
     def _remember(self, solution: Solution) -> None:
-        """Keep what the next start is made of; nothing where the library keeps it itself."""
+        """Store the next start; nothing where the library keeps it itself."""
         if self._given_start:
             self._start.remember(solution)
 
@@ -239,7 +229,7 @@ class NativeWorkspace(Workspace):
         return solution
 
     def reset(self) -> None:
-        """Make the library object anew, unless it has not been used since it was made."""
+        """Make the library object anew, unless it is unused."""
         stale = self._used or self._unusable
         self._forget()
         if stale and not self.setup_every_step:
@@ -254,8 +244,7 @@ class OneSidedWorkspace(NativeWorkspace):
     """A library that takes one side of a limit only: A z = b and G z ≤ h.
 
     Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
-    of another pattern makes the library object anew. A subclass gives `_create` (a new library
-    object) and `_send` (the vectors in `_form`).
+    of another pattern makes the library object anew.
     """
 
     _form: OneSidedForm
@@ -269,7 +258,7 @@ class OneSidedWorkspace(NativeWorkspace):
         """Give the library the vectors in `_form`."""
 
     def _arrange(self) -> None:
-        """Bring the matrices of a new `_form` into what `_create` needs; by default nothing."""
+        """Prepare the matrices of a new `_form` for `_create`."""
 
     def _convert(self) -> None:
         qp = QuadraticProgram(
@@ -302,8 +291,8 @@ class OneSidedWorkspace(NativeWorkspace):
 class Start:
     """The previous answer, one move later, as the start of the next solve.
 
-    The moves shift by a block of variables, the multipliers of rows by as many rows as a move has;
-    those of the last move, of which the previous plan knows nothing, are zero. Block 0 keeps all.
+    Moves shift by a block of variables, multipliers of rows by the rows of a move; those of the
+    last move are zero. Block 0 shifts nothing.
     """
 
     def __init__(self, n: int, m: int, block: int) -> None:
@@ -312,27 +301,22 @@ class Start:
         self.dual = np.zeros(m + n)
         self.y, self.y_box = self.dual[:m], self.dual[m:]
         shifted = (self.z, block), (self.y, rows), (self.y_box, block)
-        self._kept = [(array, array.copy(), by) for array, by in shifted]
+        self._last = [(array, array.copy(), by) for array, by in shifted]
         self.known = False
 
     def remember(self, solution: Solution) -> None:
-        """Keep a copy of an answer."""
+        """Store a copy of an answer."""
         answer = (solution.z, solution.y, solution.y_box)
-        for (_, kept, _), value in zip(self._kept, answer, strict=True):
-            kept[:] = value
+        for (_, last, _), value in zip(self._last, answer, strict=True):
+            last[:] = value
         self.known = True
 
     def advance(self) -> bool:
-        """Fill `z`, `y`, `y_box` with the kept answer one move later; false if there is none."""
+        """Fill `z`, `y`, `y_box` with the stored answer one move later; false if there is none."""
         if self.known:
-            for target, kept, by in self._kept:
-                shift_into(target, kept, by)
+            for target, last, by in self._last:
+                shift_into(target, last, by)
         return self.known
-
-
-def _same(kept: Matrix, given: Matrix) -> bool:
-    """Whether two arrays hold the same bytes, which is the cheapest way to know."""
-    return kept.shape == given.shape and kept.tobytes() == given.tobytes()
 
 
 def stacked(A: Matrix, n: int) -> Matrix:

@@ -1,7 +1,4 @@
-"""OSQP: its extension module, vectors updated, start given or cold, data copied by it.
-
-Status values of its C library, time in seconds.
-"""
+"""OSQP: its extension module, vectors updated, start given or cold; time in seconds."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ import scipy.sparse
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
 from dpbench.solvers.record import (
@@ -25,23 +22,17 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
-
-def build() -> Build:
-    """Read the linear algebra it takes when none is asked for."""
-    return Build(f"algebra {import_module('osqp').default_algebra()}")
-
-
-# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+# OSQP 1.x adapts ρ by iterations by default, earlier releases did by the clock.
 _LEVELS = by_tolerance(
     "eps_abs",
     eps_rel=0.0,
     max_iter=200_000,
     always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
 )
-# Polishing is a second algorithm whose failures are silent, so it has names of its own.
+# Polishing is a second algorithm with silent failures, so it has names of its own.
 _POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
 
 RECORD = SolverRecord(
@@ -64,7 +55,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={**_LEVELS, **_POLISHED},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "OSQP, metadata of its distribution"),
         language=("C, library-free", "OSQP web site, Features"),
         c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
@@ -74,7 +65,7 @@ RECORD = SolverRecord(
             "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
         ),
     ),
-    build=build,
+    build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )
 
@@ -90,11 +81,11 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-tell = told(STATUS, 1e9, number=lambda info: int(info.status_val))
+read_info = info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
-def settings_object() -> Any:
-    """OSQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return OSQP's settings at their defaults."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
     library.osqp_set_default_settings(settings)
@@ -105,8 +96,8 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    with_setup(tell),
-    settings_object=settings_object,
+    status_reader(read_info),
+    make_settings=make_settings,
     fixed={"raise_error": False},
 )
 
@@ -135,7 +126,7 @@ class OsqpWorkspace(NativeWorkspace):
         np.minimum(high, INFINITY, out=self._high_rows)
 
     def _build(self) -> None:
-        settings = settings_object()
+        settings = make_settings()
         settings.verbose, settings.warm_starting = False, self._warm
         self._configure(settings)
         self._fill(self._l, self._u)
@@ -148,17 +139,17 @@ class OsqpWorkspace(NativeWorkspace):
         self._fill(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._advanced():
+        if self._has_start():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         info = self._solver.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         solution, m = self._solver.solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(OsqpWorkspace)

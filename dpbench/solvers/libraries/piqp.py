@@ -1,7 +1,4 @@
-"""PIQP, dense, sparse or by stages: vectors updated, no start.
-
-Its status enumeration, time in seconds.
-"""
+"""PIQP, dense, sparse or by stages: vectors updated, no start; time in seconds."""
 
 from __future__ import annotations
 
@@ -15,14 +12,14 @@ import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -52,7 +49,7 @@ RECORD = SolverRecord(
         eps_duality_gap_rel=0.0,
         max_iter=1000,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "PIQP README, Features"),
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
@@ -68,19 +65,19 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-tell = told(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
+read_info = info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
-def settings_object() -> Any:
-    """PIQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return PIQP's settings at their defaults."""
     return import_module("piqp").DenseSolver().settings
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    with_setup(tell),
-    settings_object=settings_object,
+    status_reader(read_info),
+    make_settings=make_settings,
 )
 
 
@@ -95,8 +92,8 @@ MULTISTAGE = replace(
 class PiqpWorkspace(NativeWorkspace):
     """PIQP with rows as h_l ≤ G x ≤ h_u, those with l = u as A x = b, and bounds as bounds.
 
-    A row with l = u leaves an interior-point method no interior, so which rows are equalities is
-    asked at every step; another pattern makes the library object anew.
+    A row with l = u leaves an interior-point method no interior, so another pattern of equalities
+    makes the library object anew.
     """
 
     def _convert(self) -> None:
@@ -110,9 +107,8 @@ class PiqpWorkspace(NativeWorkspace):
         )
 
     def _library_object(self) -> Any:
-        """Make an object of the library at its defaults."""
-        library = self._library
-        return library.SparseSolver() if self.form == "csc" else library.DenseSolver()
+        kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
+        return getattr(self._library, kind)()
 
     def _build(self) -> None:
         if (self._l == self._u).tobytes() != self._pattern:
@@ -128,7 +124,7 @@ class PiqpWorkspace(NativeWorkspace):
         self._solver = solver
 
     def _limits(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """Return the limits of the rows in the library's words."""
+        """Return the limits of the rows by the library's keywords."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}
@@ -142,12 +138,12 @@ class PiqpWorkspace(NativeWorkspace):
             return
         self._build_for(q, low, high)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         self._result = self._solver.result
         info = self._result.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -166,6 +162,6 @@ class MultistageWorkspace(PiqpWorkspace):
         return solver
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(PiqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(PiqpWorkspace)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)
 NATIVE_MULTISTAGE = replace(NATIVE, record=MULTISTAGE, workspace=MultistageWorkspace)

@@ -1,14 +1,12 @@
 """ProxQP (proxsuite) dense or sparse; its status enumeration, time in microseconds.
 
-A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8 (the iterates are those of no
-guess at all), and the dense solver with bounds refuses it; its memory of the previous result does
-have one, so `warm` shifts that in place under COLD_START_WITH_PREVIOUS_RESULT, which keeps the
-iterate and resets the penalties. WARM_START_WITH_PREVIOUS_RESULT, which keeps both, leaves steps
-unsolved. After a step it could not solve proxsuite calls every later one infeasible, so anything
-but SOLVED makes the next update start from nothing.
-
-Two-sided rows cost it the sight of infeasibility: it runs to its iteration limit where the same
-rows in one-sided form, as route qpsolvers hands them over, are found infeasible at once.
+A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8, and the dense solver with bounds
+refuses it; its memory of the previous result has one, so `warm` shifts that in place under
+COLD_START_WITH_PREVIOUS_RESULT, which keeps the iterate and resets the penalties.
+WARM_START_WITH_PREVIOUS_RESULT, which keeps both, leaves steps unsolved. After a step it could not
+solve proxsuite reports every later one as infeasible, so anything but SOLVED makes the next update
+start from nothing. With two-sided rows it runs to its iteration limit where the same rows in
+one-sided form, on route qpsolvers, are found infeasible at once.
 
 Behind qpsolvers its iterations are outer plus inner ones.
 """
@@ -32,8 +30,8 @@ from dpbench.solvers.adapter import (
     NativeAdapter,
     QpsolversAdapter,
     attributes,
-    told,
-    with_setup,
+    info_reader,
+    status_reader,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
@@ -42,7 +40,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -72,7 +70,7 @@ RECORD = SolverRecord(
         check_duality_gap=True,
         eps_duality_gap_rel=0.0,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
     ),
@@ -88,18 +86,18 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-tell = told(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
+read_info = info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def keywords() -> list[str]:
-    """List the keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
+def list_keywords() -> list[str]:
+    """List the keywords of `proxqp.dense.solve`, whose signature is in its docstring only."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", with_setup(tell), keywords)
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", status_reader(read_info), list_keywords)
 
 
 SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
@@ -124,25 +122,14 @@ class ProxqpWorkspace(NativeWorkspace):
     def _build(self) -> None:
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        if self._sparse:
-            self._solver = library.sparse.QP(n, 0, m + n)
-        else:
-            self._solver = library.dense.QP(n, 0, m, True)
+        sparse, dense = library.sparse.QP, library.dense.QP
+        self._solver = sparse(n, 0, m + n) if self._sparse else dense(n, 0, m, True)
         self._configure(self._solver.settings)
         if self._sparse:
             self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
         else:
-            self._solver.init(
-                self._P,
-                self._q,
-                None,
-                None,
-                self._A,
-                self._low,
-                self._high,
-                self._lb,
-                self._ub,
-            )
+            limits = self._low, self._high, self._lb, self._ub
+            self._solver.init(self._P, self._q, None, None, self._A, *limits)
         self._shiftable = self._stuck = False
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
@@ -151,31 +138,28 @@ class ProxqpWorkspace(NativeWorkspace):
             return
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
-        if self._sparse:
-            solver.update(g=q, l=self._low, u=self._high)
-        else:
-            # Without them the bounds of the previous update would be lost.
-            solver.update(g=q, l=self._low, u=self._high, l_box=self._lb, u_box=self._ub)
+        # Without them the bounds of the previous update would be lost.
+        bounds = {} if self._sparse else {"l_box": self._lb, "u_box": self._ub}
+        solver.update(g=q, l=self._low, u=self._high, **bounds)
         if self._shiftable:
             guess = self._library.InitialGuess
             solver.settings.initial_guess = guess.COLD_START_WITH_PREVIOUS_RESULT
-            self._shift()
+            if self._block:
+                self._shift_start(self._block, m, solver.results)
 
-    def _shift(self) -> None:
-        block, m, results = self._block, self._m, self._solver.results
-        if block:
-            x, z, rows = results.x, results.z, rows_per_block(self._n, m, block)
-            for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
-                shift_into(part, part.copy(), by)
+    def _shift_start(self, block: int, m: int, results: Any) -> None:
+        x, z, rows = results.x, results.z, rows_per_block(self._n, m, block)
+        for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
+            shift_into(part, part.copy(), by)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         self._result = self._solver.results
         info = self._result.info
-        claimed = tell(info, info.solve_time, self._options)
+        claimed = read_info(info, info.solve_time, self._options)
         self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
@@ -185,15 +169,15 @@ class ProxqpWorkspace(NativeWorkspace):
         self._shiftable = True
 
 
-def settings_object() -> Any:
-    """ProxQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return ProxQP's settings at their defaults."""
     return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
 
 
-def option_names() -> list[str]:
-    """Its settings but the initial guess, which the policy decides."""
-    return [name for name in attributes(settings_object()) if name != "initial_guess"]
+def list_options() -> list[str]:
+    """List its settings but the initial guess, which the policy decides."""
+    return [name for name in attributes(make_settings()) if name != "initial_guess"]
 
 
-NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, option_names, settings_object)
+NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, list_options, make_settings)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)

@@ -11,7 +11,7 @@ import scipy.sparse
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="qoco",
@@ -30,7 +30,7 @@ RECORD = SolverRecord(
         )
     },
     levels=by_tolerance("abstol", "reltol", max_iters=500),
-    project=stated(
+    project=project_facts(
         licence=("BSD-3-Clause", "QOCO README, License"),
         language=("C", "QOCO documentation"),
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
@@ -43,7 +43,6 @@ STATUS = {
     "QOCO_SOLVED_INACCURATE": Status.INACCURATE,
     "QOCO_NUMERICAL_ERROR": Status.NUMERICAL_ERROR,
     "QOCO_MAX_ITER": Status.MAX_ITERATIONS,
-    "QOCO_UNSOLVED": Status.UNKNOWN,
 }
 
 
@@ -60,22 +59,9 @@ class QocoWorkspace(OneSidedWorkspace):
         inequalities = 0 if form.h is None else form.h.size
         equalities = 0 if form.b is None else form.b.size
         self._solver = self._library.QOCO()
-        self._solver.setup(
-            self._n,
-            inequalities,
-            equalities,
-            P,
-            form.q,
-            A,
-            form.b,
-            G,
-            form.h,
-            inequalities,
-            0,
-            None,
-            verbose=0,
-            **self._options,
-        )
+        data = P, form.q, A, form.b, G, form.h
+        sizes, cones = (self._n, inequalities, equalities), (inequalities, 0, None)
+        self._solver.setup(*sizes, *data, *cones, verbose=0, **self._options)
         # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
         # qoco 0.3 never frees; its own `solve()` looks 14 times.
         self._result = self._solver._solver.solution
@@ -87,24 +73,24 @@ class QocoWorkspace(OneSidedWorkspace):
     def _call(self) -> None:
         self._solver._solver.solve()
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)
 
 
-def settings_object() -> Any:
-    """QOCO's settings at their defaults."""
+def make_settings() -> Any:
+    """Return QOCO's settings at their defaults."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
     library.set_default_settings(settings)
     return settings
 
 
-NATIVE = NativeAdapter(RECORD, QocoWorkspace, settings_object=settings_object)
+NATIVE = NativeAdapter(RECORD, QocoWorkspace, make_settings=make_settings)

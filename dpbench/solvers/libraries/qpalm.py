@@ -1,17 +1,22 @@
-"""QPALM: two-sided, vectors updated, start given or cold.
-
-Status texts of its C library, time in seconds.
-"""
+"""QPALM: two-sided, vectors updated, start given or cold; time in seconds."""
 
 from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 import scipy.sparse
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by, told, with_setup
+from dpbench.solvers.adapter import (
+    Claim,
+    QpsolversAdapter,
+    info_reader,
+    status_reader,
+)
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="qpalm",
@@ -41,7 +46,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("eps_abs", eps_rel=0.0, max_iter=100_000),
-    project=stated(
+    project=project_facts(
         licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
         language=("C", "QPALM README, Supported platforms"),
         c_settings=CSettings(
@@ -61,10 +66,16 @@ STATUS = {
     "user cancellation": Status.ERROR,
     "error": Status.ERROR,
 }
-tell = told(STATUS, 1e9)
-settings_object = made_by("qpalm", "Settings")
+read_info = info_reader(STATUS, 1e9)
+
+
+def make_settings() -> Any:
+    """Return the library's settings at their defaults."""
+    return import_module("qpalm").Settings()
+
+
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "rows", with_setup(tell), settings_object=settings_object
+    RECORD, "rows", status_reader(read_info), make_settings=make_settings
 )
 
 
@@ -82,7 +93,7 @@ class QpalmWorkspace(NativeWorkspace):
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
-        settings = settings_object()
+        settings = make_settings()
         settings.verbose = False
         self._configure(settings)
         self._solver = self._library.Solver(data, settings)
@@ -92,21 +103,21 @@ class QpalmWorkspace(NativeWorkspace):
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._advanced():
+        if self._has_start():
             solver.warm_start(self._start.z, self._start.dual)
 
     def _call(self) -> None:
         self._solver.solve(asynchronous=False)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         info = self._solver.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(QpalmWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(QpalmWorkspace)

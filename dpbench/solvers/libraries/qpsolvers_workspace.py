@@ -1,8 +1,8 @@
-"""The route through qpsolvers: one workspace that drives every library qpsolvers serves.
+"""The route through qpsolvers: one workspace for every library that qpsolvers has.
 
-`setup` keeps the constant matrices in the library's form, `update` fills the vectors and builds
-the `qpsolvers.Problem`, `solve` is `qpsolvers.solve_problem` and nothing else, `read` maps signs
-and status. qpsolvers sets the library up anew at every solve, so this cannot be split further.
+`setup` converts the constant matrices, `update` fills the vectors and builds the
+`qpsolvers.Problem`, `solve` is `qpsolvers.solve_problem` and nothing else, `read` maps signs and
+status. qpsolvers sets the library up anew at every solve.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    missing_setup_error,
     shift_into,
     words_of,
 )
@@ -31,20 +31,15 @@ IGNORE_ALL = ("ignore", None, Warning, None, 0)
 
 
 class QpsolversWorkspace(Workspace):
-    """A library behind qpsolvers at work on QPs of one shape.
+    """A library behind qpsolvers; under `warm` the previous answer, one move later, is the start.
 
-    Parameters
-    ----------
-    adapter : the library.
-    policy : "fresh", or "warm": the previous answer, shifted by one move, is the start.
-    options : keyword arguments of the library, already validated.
+    `options` are keyword arguments of the library, already validated.
     """
 
     def __init__(self, adapter: QpsolversAdapter, policy: Policy, options: Options) -> None:
         super().__init__(adapter.record.name, "qpsolvers", policy)
         self.form = adapter.record.form
-        self._adapter = adapter
-        self._name = adapter.called
+        self._adapter, self._name = adapter, adapter.qpsolvers_key
         self._options: dict[str, Any] = {**adapter.fixed, **options}
         self._base: QuadraticProgram | None = None
         self._answer: Any = None
@@ -53,7 +48,7 @@ class QpsolversWorkspace(Workspace):
         self._last: np.ndarray | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Keep `qp` in the library's form; forgets every earlier answer."""
+        """Convert `qp` into the library's form; forget every earlier answer."""
         self.reset()
         self._prepare(qp.copy())
 
@@ -71,7 +66,7 @@ class QpsolversWorkspace(Workspace):
         """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
         base = self._base
         if base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
             self._start = self._shifted_start(base.block)
@@ -83,10 +78,7 @@ class QpsolversWorkspace(Workspace):
             self._prepare(base.at(step).copy())
 
     def _shifted_start(self, block: int) -> np.ndarray | None:
-        """Return the previous answer one move later, its last move zero.
-
-        None without a usable one.
-        """
+        """Return the previous answer one move later; None without a usable one."""
         if self._unread:
             self.read()
         if self._last is None or block == 0:
@@ -96,10 +88,10 @@ class QpsolversWorkspace(Workspace):
         return start
 
     def solve(self) -> None:
-        """Solve; whatever the library raises is kept for `read`."""
+        """Solve; store whatever the library raises for `read`."""
         self._answer, self._unread = None, True
         try:
-            # Where everything is ignored already, as in a worker, a context costs for nothing.
+            # Where all warnings are ignored already, as in a worker, a context costs time.
             if warnings.filters[:1] == [IGNORE_ALL]:
                 self._answer = self._call()
             else:
@@ -115,7 +107,7 @@ class QpsolversWorkspace(Workspace):
     def read(self) -> Solution:
         """Return the answer with its multipliers mapped to the two-sided problem."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         self._last, self._unread = None, False
         answer = self._answer

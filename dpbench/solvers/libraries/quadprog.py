@@ -1,7 +1,4 @@
-"""quadprog: one-sided, the inverse factor of P made once.
-
-Behind qpsolvers it either solves, or raises that there is no solution.
-"""
+"""quadprog: one-sided, the inverse factor of P made once."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, project_facts
 
 RECORD = SolverRecord(
     name="quadprog",
@@ -33,7 +30,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
         language=("C, from Fortran", "quadprog, its source"),
     ),
@@ -42,13 +39,12 @@ RECORD = SolverRecord(
 
 
 def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
+    """Read the count of rows added; only an answer that was found has extras."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
-# The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
-# and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
-# apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
+# The library raises ValueError for arrays of the wrong kind, which cannot happen here, for a P that
+# is not positive definite, which qpsolvers reports, and for inconsistent constraints: "not found".
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
@@ -58,7 +54,7 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 )
 
 
-# It raises what it has to say.
+# By the text of the ValueError.
 STATUS = {
     "constraints are inconsistent, no solution": Status.PRIMAL_INFEASIBLE,
     "matrix G is not positive definite": Status.NUMERICAL_ERROR,
@@ -107,12 +103,12 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
-    def _point(self) -> Point | None:
+    def _read_point(self) -> Point | None:
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result
@@ -120,4 +116,4 @@ class QuadprogWorkspace(OneSidedWorkspace):
         return z.copy(), *self._form.two_sided(dual[count:], -dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(QuadprogWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(QuadprogWorkspace)

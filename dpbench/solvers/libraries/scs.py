@@ -1,7 +1,4 @@
-"""SCS: one-sided, vectors updated, start given or cold.
-
-Status values of its C library, time in milliseconds.
-"""
+"""SCS: one-sided, vectors updated, start given or cold; time in milliseconds."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="scs",
@@ -37,7 +34,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
@@ -74,8 +71,8 @@ OPTION_NAMES = (
 )
 
 
-def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """Read SCS's claim from its information about a solve."""
+def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
+    """Make the claim of SCS's information about a solve."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
@@ -86,9 +83,9 @@ def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Status, iterations and the sum of set-up and solve time."""
+    """Read status, iterations and the sum of set-up and solve time."""
     info = answer.extras
-    return claimed(info, info["setup_time"] + info["solve_time"])
+    return make_claim(info, info["setup_time"] + info["solve_time"])
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)
@@ -117,20 +114,17 @@ class ScsWorkspace(OneSidedWorkspace):
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         super()._hand_over(q, low, high)
-        if self._advanced():
-            self._place_start()
-
-    def _send(self) -> None:
-        self._solver.update(b=self._b, c=self._form.q)
-
-    def _place_start(self) -> None:
-        start = self._start
-        self._given = True
+        if not self._has_start():
+            return
+        self._given, start = True, self._start
         if not self._empty:
             self._form.split(start.y, start.y_box, self._y)
             np.subtract(self._b, self._dense_rows @ start.z, out=self._s)
             np.maximum(self._s, 0.0, out=self._s)
             self._s[: self._equalities] = 0.0
+
+    def _send(self) -> None:
+        self._solver.update(b=self._b, c=self._form.q)
 
     def _call(self) -> None:
         if self._given:
@@ -138,15 +132,15 @@ class ScsWorkspace(OneSidedWorkspace):
         else:
             self._result = self._solver.solve(False)
 
-    def _claimed(self) -> Claim:
+    def _read_claim(self) -> Claim:
         info = self._result["info"]
-        return claimed(info, info["solve_time"])
+        return make_claim(info, info["solve_time"])
 
-    def _point(self) -> Point:
+    def _read_point(self) -> Point:
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)
         return z, *self._form.two_sided(y[count:], y[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(ScsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(ScsWorkspace)

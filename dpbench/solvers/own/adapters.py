@@ -1,7 +1,4 @@
-"""Records of dpbench's own solvers, and how each is opened.
-
-What is compiled is loaded, or compiled at the first time, only when it is asked for.
-"""
+"""Records of dpbench's own solvers; compiled code is loaded, or compiled, when it is first used."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
@@ -25,7 +22,7 @@ PAPER_ACTIVE_SET = SolverRecord(
         )
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "dpbench, pyproject.toml"),
         language=("Python, compiled by Numba", "dpbench, source"),
     ),
@@ -72,10 +69,9 @@ def _hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspa
 
 
 def _unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.unconstrained import FreshUnconstrained, Unconstrained
+    from dpbench.solvers.own.unconstrained import Unconstrained
 
-    kind = FreshUnconstrained if policy == "fresh" else Unconstrained
-    return kind(record.name, "native", policy)
+    return Unconstrained(record.name, "native", policy)
 
 
 OWN = {

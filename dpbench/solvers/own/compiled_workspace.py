@@ -13,7 +13,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.constants import constraints, empty, fill, results, vectors
 from dpbench.solvers.own.active_set.kernel import take_over, take_over_rows
@@ -75,7 +75,7 @@ class CompiledWorkspace(Workspace):
         """Arrays of another layout or type, new matrices, or a mistake."""
         base = self._base
         if base is None or self._S is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, base.n, base.m)
         if step.refresh is Refresh.VECTORS:
             kept = vectors(self._S, base.n, base.m)
@@ -87,7 +87,7 @@ class CompiledWorkspace(Workspace):
 
     def _cannot(self) -> None:
         if self._base is None:
-            raise not_set_up("solve")
+            raise missing_setup_error("solve")
         self._unusual = self._missing(Status.ERROR, self._refusal)
         self._ending = layout.UNDECIDED
 
@@ -134,7 +134,7 @@ class CompiledWorkspace(Workspace):
 
     def _missing(self, status: Status, detail: str) -> Solution:
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return Solution.missing(self._base.n, self._base.m, status, detail)
 
     def reset(self) -> None:

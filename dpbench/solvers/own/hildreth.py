@@ -84,15 +84,12 @@ from dpbench.solvers.own.active_set.layout import (
 )
 from dpbench.solvers.own.active_set.start import begin
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.safeguards.proof import contradicts
+from dpbench.solvers.own.proof import contradicts
 
 
 @compiled
 def carry_over(S: Matrix, width: int) -> None:
-    """Shift the multipliers by one move, those of the last move stay.
-
-    Or set all to zero.
-    """
+    """Shift the multipliers by one move, those of the last move stay. Or set all to zero."""
     n, n_pad, m = int(S[HEAD, N]) & MASK, int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M]) & MASK
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0:

@@ -2,8 +2,8 @@
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set.kernel`; what rounding keeps that call from deciding is left to
-`safeguards.careful`, and no answer of either is called solved that misses the optimality
-conditions of `active_set.check`, or whose place rounding decides (`safeguards.sensitivity`).
+`proof.solve_carefully`, and no answer of either is called solved that misses the optimality
+conditions of `active_set.check`, or whose place rounding decides (`exact_point.is_sensitive`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,8 @@ from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import WRONG
 from dpbench.solvers.own.active_set.kernel import excess_of, solve_step
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.safeguards.careful import solve_carefully
-from dpbench.solvers.own.safeguards.exact_point import error_bound, is_regular
-from dpbench.solvers.own.safeguards.pinned import determined
-from dpbench.solvers.own.safeguards.proof import clean, contradicts, is_proof
-from dpbench.solvers.own.safeguards.sensitivity import is_sensitive, unit_of
+from dpbench.solvers.own.exact_point import error_bound, is_regular, is_sensitive, unit_of
+from dpbench.solvers.own.proof import clean, contradicts, determined, is_proof, solve_carefully
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
 RAY = "y and y_box are a Farkas ray"

@@ -1,4 +1,4 @@
-"""The baseline law: the unconstrained optimum, whatever the constraints say.
+"""The baseline law: the unconstrained optimum.
 
     z = −P⁻¹ q                                                                        (eq. 27)
 
@@ -13,7 +13,7 @@ import scipy.linalg
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
 
 
 class Unconstrained(Workspace):
@@ -21,6 +21,7 @@ class Unconstrained(Workspace):
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
+        self.setup_every_step = policy == "fresh"
         self._base: QuadraticProgram | None = None
         self._factor: np.ndarray | None = None
         self._z: Vector | None = None
@@ -37,7 +38,7 @@ class Unconstrained(Workspace):
     def update(self, step: QPStep) -> None:
         """Take over q; new matrices are factorised again."""
         if self._base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._base.n, self._base.m)
         if step.refresh is Refresh.VECTORS:
             self._q[:] = step.q
@@ -54,16 +55,10 @@ class Unconstrained(Workspace):
     def read(self) -> Solution:
         """Return the law's answer, which claims nothing: UNKNOWN, zero multipliers."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
             return Solution.missing(n, m, Status.ERROR, "P is not positive definite")
         if self._z is None:
             return Solution.missing(n, m, Status.ERROR, "read before solve")
         return Solution(Status.UNKNOWN, self._z.copy(), np.zeros(m), np.zeros(n), iterations=0)
-
-
-class FreshUnconstrained(Unconstrained):
-    """The same, set up from nothing at each step."""
-
-    setup_every_step = True

@@ -5,29 +5,70 @@ L is kept by rows: a row brought in is a row appended, a row dropped is a chain 
 g of the active set W
 
     λ_W = H_WW⁻¹ (v₀_W − g)                                                            (eq. 31)
+
+Which row to bring in next: v = C z of the active set (eq. 32), and the rows it violates.
+
+    v = v₀ − H_:W λ_W,     v₀ = −C P⁻¹q
+
+takes all of H_:W, more than everything else of an iteration. The method ends at the optimum
+whichever violated row comes in, so v is computed in all rows once, those violated about as much as
+the most violated one become candidates, and of these alone v is computed until none is violated.
+
+Rows of A that are others than before, as of thrusters that turn: what is made of them anew.
+
+With the rows of I in C, of which K, H and J hold −P⁻¹, P⁻¹ and L⁻ᵀ, everything else of a row a of A
+is a combination of what they have:
+
+    K e_a = Σ a_l K e_l,    H e_a = Σ a_l H e_l,    J_a = Σ a_l J_l
+
+A few entries in a few rows so cost a few per cent of factorising P and of all products of rows. The
+active set stays; its factor is made again from H.
 """
 
 from __future__ import annotations
 
 from math import inf, sqrt
 
-from dpbench.arrays import Matrix
+import numpy as np
+
+from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
+    ALL,
+    BEFORE,
+    CANDIDATES,
+    CHECK,
     COUNT,
     HEAD,
     HIGH,
     INVERSE,
     LAM,
+    LONGEST,
     LOW,
     MASK,
+    MOST,
+    MOST_MULTIPLIER,
+    N_PAD,
+    NARROW,
+    ROWS,
     SIDE,
     STEP,
+    SUM,
+    UNIT,
     V0,
+    ZERO_ROW,
     E,
+    M,
+    N,
     R,
+    V,
     X,
+    Z,
+    add_row,
     compiled,
+    inlined,
+    product,
+    width_of,
 )
 
 DEPENDENT = 1e-11
@@ -160,3 +201,264 @@ def solve_active(S: Matrix, L: int, w: int) -> bool:
     forward(S, L, w, R)
     backward(S, L, w, R)
     return True
+
+
+VIOLATED = 1e-13
+"""A row counts as violated beyond this many roundings of the quantities it is computed from."""
+SHARE, MOST_CANDIDATES = 0.3, 24
+"""A candidate is violated by this share of the most violated row; at most as many candidates."""
+
+
+@inlined
+def add_active(S: Matrix, out: int, sign: float, H: int) -> None:
+    """S[out] += sign · H_:W λ_W."""
+    for k in range(int(S[HEAD, COUNT]) & MASK):
+        i = int(S[ACTIVE, k]) & MASK
+        add_row(S, out, sign * S[LAM, i], H + i, ALL)
+
+
+@compiled
+def values(S: Matrix, H: int) -> None:
+    """Compute v of the active set (eq. 32)."""
+    w = int(S[HEAD, COUNT]) & MASK
+    for i in range(width_of(S)):
+        S[V, i] = S[V0, i]
+    add_active(S, V, -1.0, H)
+    for k in range(w):
+        i = int(S[ACTIVE, k]) & MASK
+        S[V, i] = limit_of(S, i)
+
+
+@compiled
+def row_values(S: Matrix, out: int, P: int, n: int) -> None:
+    """S[out] = C Z, in the problem's own rows."""
+    for i in range(n):
+        S[out, i] = S[Z, i]
+    for i in range(n, width_of(S)):
+        S[out, i] = 0.0
+    product(S, out, P, Z, n, ROWS)
+
+
+@compiled
+def evaluate(S: Matrix, P: int, H: int) -> None:
+    """Compute v anew from Z, in the problem's own rows, and v₀ from v."""
+    row_values(S, V, P, int(S[HEAD, N_PAD]) & MASK)
+    for i in range(width_of(S)):
+        S[V0, i] = S[V, i]
+    add_active(S, V0, 1.0, H)
+
+
+@compiled
+def violation(S: Matrix, i: int, noise: float) -> float:
+    """By how much row i is violated in the norm of P⁻¹; 0 if by no more than rounding."""
+    over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
+    e = over if over >= under else under
+    if not e > 0.0:
+        return 0.0
+    e *= S[UNIT, i]
+    g = S[HIGH, i] if over >= under else S[LOW, i]
+    return float(e) if e > noise + VIOLATED * abs(g) * S[UNIT, i] else 0.0
+
+
+@compiled
+def most_violated(S: Matrix, noise: float) -> int:
+    """Return the inactive row violated most in the norm of P⁻¹; −1 if there is none."""
+    excess, width = 0.0, width_of(S)
+    for i in range(width):
+        over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
+        excess += (over if over > 0.0 else 0.0) + (under if under > 0.0 else 0.0)
+    if excess == 0.0:
+        return -1
+    most, worst = 0.0, -1
+    for i in range(width):
+        if S[SIDE, i] == 0.0:
+            e = violation(S, i, noise)
+            if e > most:
+                most, worst = e, i
+    return worst
+
+
+@compiled
+def list_candidates(S: Matrix, j: int, noise: float) -> None:
+    """List the inactive rows violated by no less than `SHARE` of the most violated.
+
+    That is row j.
+    """
+    least, count = SHARE * violation(S, j, noise), 0
+    for i in range(width_of(S)):
+        if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
+            e = violation(S, i, noise)
+            if e > 0.0 and e >= least:
+                S[BEFORE, count] = i
+                count += 1
+    S[CHECK, CANDIDATES] = count
+
+
+@compiled
+def best_candidate(S: Matrix, H: int, noise: float) -> int:
+    """Return the candidate violated most now, −1 if there is none.
+
+    Those not violated leave the list.
+    """
+    count, w = int(S[CHECK, CANDIDATES]) & MASK, int(S[HEAD, COUNT]) & MASK
+    most, worst, left = 0.0, -1, 0
+    for c in range(count):
+        i = int(S[BEFORE, c]) & MASK
+        if S[SIDE, i] != 0.0:
+            continue
+        v = S[V0, i]
+        for k in range(w):
+            r = int(S[ACTIVE, k]) & MASK
+            v -= S[H + i, r] * S[LAM, r]
+        S[V, i] = v
+        e = violation(S, i, noise)
+        if e > 0.0:
+            S[BEFORE, left] = i
+            left += 1
+        if e > most:
+            most, worst = e, i
+    S[CHECK, CANDIDATES] = left
+    return worst
+
+
+@inlined
+def next_row(S: Matrix, H: int, noise: float) -> int:
+    """Return the row to add: the most violated candidate, or of all rows where none is left."""
+    many = width_of(S) > NARROW
+    j = best_candidate(S, H, noise) if many else -1
+    if j < 0:
+        values(S, H)
+        j = most_violated(S, noise)
+        if many and j >= 0:
+            list_candidates(S, j, noise)
+    return j
+
+
+MANY = 8
+"""Entries of changed rows a variable from which on to make everything anew takes no longer."""
+
+
+@compiled
+def list_changed(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
+    """How many rows of A changed, listed in BEFORE, and their entries; −1 if one is not finite."""
+    n, m = int(S[HEAD, N]), int(S[HEAD, M])
+    count, entries, largest = 0, 0, 1.0
+    for i in range(m):
+        differs, filled, bad, most = 0, 0, 0, 0.0
+        for k in range(n):
+            a = new[i, k]
+            differs += a != S[A + i, k]
+            filled += a != 0.0
+            bad += not abs(a) < inf
+            most = max(most, abs(a))
+        if bad:
+            return -1, 0
+        largest = max(largest, most)
+        if differs:
+            S[BEFORE, count] = i
+            count, entries = count + 1, entries + filled
+    S[CHECK, MOST] = MOST_MULTIPLIER / largest
+    return count, entries
+
+
+@compiled
+def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector) -> Ints:
+    """Where the entries of each changed row begin in `row` and `share`, which are written to."""
+    n, first = int(S[HEAD, N]), np.empty(count + 1, np.int64)
+    first[0] = 0
+    for c in range(count):
+        i, end = int(S[BEFORE, c]) & MASK, first[c]
+        for k in range(n):
+            if new[i, k] != 0.0:
+                row[end], share[end] = k, new[i, k]
+                end += 1
+        first[c + 1] = end
+    return first
+
+
+@compiled
+def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
+    """Write the changed rows into A, [P Aᵀ] and SUM. Returns whether any entry was zero before."""
+    n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
+    for c in range(count):
+        i, terms = int(S[BEFORE, c]) & MASK, 0.0
+        for k in range(n):
+            a, before = new[i, k], S[A + i, k]
+            terms += abs(a)
+            if a != before:
+                grown |= before == 0.0
+                S[A + i, k] = S[P + k, n_pad + i] = a
+        S[SUM, n_pad + i] = terms
+    return grown
+
+
+@compiled
+def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector) -> bool:
+    """Write the columns of changed rows in a block of K or H.
+
+    Returns whether any entry was zero before.
+    """
+    n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
+    for r in range(block, block + rows):
+        for c in range(len(first) - 1):
+            total = 0.0
+            for e in range(first[c], first[c + 1]):
+                total += share[e] * S[r, row[e] & MASK]
+            at = n_pad + (int(S[BEFORE, c]) & MASK)
+            grown |= (S[r, at] == 0.0) & (total != 0.0)
+            S[r, at] = total
+    return grown
+
+
+@compiled
+def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector) -> None:
+    """Write the changed rows of H or J."""
+    n_pad = int(S[HEAD, N_PAD]) & MASK
+    for c in range(len(first) - 1):
+        r = block + n_pad + (int(S[BEFORE, c]) & MASK)
+        for i in range(width):
+            S[r, i] = 0.0
+        for e in range(first[c], first[c + 1]):
+            a, by = share[e], block + (row[e] & MASK)
+            for i in range(width):
+                S[r, i] += a * S[by, i]
+
+
+@compiled
+def lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
+    """Write UNIT of the changed rows.
+
+    Returns False if the factors of P have to tell what they cancel to.
+    """
+    n_pad, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    for c in range(len(first) - 1):
+        i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0
+        for e in range(first[c], first[c + 1]):
+            k = row[e] & MASK
+            terms += share[e] * share[e] * S[H + k, k]
+        if S[H + i, i] < CLOSE * terms:
+            return False
+        length = sqrt(S[H + i, i])
+        S[UNIT, i] = 1.0 / length if length > ZERO_ROW else 1.0
+    least = inf
+    for i in range(width):
+        least = min(least, S[UNIT, i] if S[UNIT, i] > 0.0 else inf)
+    S[CHECK, LONGEST] = 1.0 / least
+    return True
+
+
+@compiled
+def change(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
+    """Take over A; 1 if rows of S now are filled in elsewhere, −1 if all has to be made anew."""
+    n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    count, entries = list_changed(S, A, new)
+    if count <= 0 or entries > MANY * n:
+        return 0 if count == 0 else -1
+    row, share = np.empty(entries, np.int64), np.empty(entries)
+    first = gather(S, A, new, count, row, share)
+    grown = write(S, P, A, new, count)
+    grown |= columns(S, K, n, first, row, share)
+    grown |= columns(S, H, width, first, row, share)
+    rows_of(S, H, width, first, row, share)
+    rows_of(S, J, n_pad, first, row, share)
+    return int(grown) if lengths(S, H, first, row, share) else -1

@@ -68,21 +68,26 @@ from typing import Any
 
 from dpbench.arrays import Matrix
 from dpbench.kernel_cache import njit
-from dpbench.solvers.own.active_set.changed_rows import (
-    change,
-)
 from dpbench.solvers.own.active_set.check import (
     excess,
+    is_clear,
     is_near,
-)
-from dpbench.solvers.own.active_set.crowded import (
-    is_crowded,
+    is_settled,
+    refine,
+    settle_signs,
 )
 from dpbench.solvers.own.active_set.factor import (
     DEPENDENT,
+    VIOLATED,
     append,
+    change,
     direction,
     drop,
+    evaluate,
+    list_candidates,
+    most_violated,
+    next_row,
+    values,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
@@ -101,6 +106,7 @@ from dpbench.solvers.own.active_set.layout import (
     LOW,
     MASK,
     N_PAD,
+    NARROW,
     PUT_ASIDE,
     REORDER,
     SIDE,
@@ -117,30 +123,14 @@ from dpbench.solvers.own.active_set.layout import (
     R,
     V,
     compiled,
+    mark_all,
     stamp,
     starts,
     width_of,
 )
-from dpbench.solvers.own.active_set.pricing import (
-    VIOLATED,
-    evaluate,
-    list_candidates,
-    most_violated,
-    next_row,
-    values,
-)
-from dpbench.solvers.own.active_set.refine import (
-    is_clear,
-    is_settled,
-    refine,
-    settle_signs,
-)
-from dpbench.solvers.own.active_set.spans import (
-    NARROW,
-    mark_all,
-)
 from dpbench.solvers.own.active_set.start import (
     begin,
+    is_crowded,
     length,
     repair,
     retake,

@@ -1,46 +1,46 @@
-"""The stages of an optimal control problem, found in the pattern of a QP.
-
-A row with l = u and a last variable that no other such row ends in defines that variable, a state,
-by the variables before it. It is a row of the dynamics
-
-    x_{k+1} = A_k x_k + B_k u_k + b_k
-
-if every variable has a stage k such that a row of the dynamics leads from one stage to the next and
-all else (the cost, the other rows) stays within one. Each of these is an equation between the
-stages of two variables, 0 or 1 apart; so the stages are the potentials of a graph, if it has any.
-A variable that no row defines is an input of its stage. A QP that is not of this kind, or whose
-variables are not in an order of time, is one stage: all variables are inputs, all rows constraints.
-
-The data go to HPIPM in the order and the memory that its optimal control interface wants:
+"""HPIPM's solver for optimal control through ctypes: a Riccati recursion over the stages.
 
     minimise    Σ ½ [u; x]ᵀ [R S; Sᵀ Q] [u; x] + [r; q]ᵀ [u; x]               of each stage
     subject to  x_{k+1} = A_k x_k + B_k u_k + b_k
                 lb ≤ [u; x] ≤ ub,  lg ≤ C x + D u ≤ ug
 
-Vectors of all stages stand in one array each, so that a step gathers them at once, and only those
-of the stages in which something has changed are handed over.
+The stages are those of `QuadraticProgram.stages`; a QP without any is solved as a single stage. The
+time of a step grows with the number of stages, that of the dense solver with its cube.
+
+Vectors of all stages are in one array each, so that a step gathers them at once, and only those of
+the stages in which something has changed are handed over.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
-from dpbench.solvers.libraries.hpipm.library import Structures, pointer
+from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.libraries import hpipm
+from dpbench.solvers.libraries.hpipm import HpipmWorkspace, Structures, pointer
+from dpbench.solvers.libraries.native_workspace import Point
+from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.record import by_tolerance
 
-Couplings = list[list[tuple[int, int]]]
-"""For each variable: the variables it is coupled with, and how many stages behind it they are."""
+RECORD = replace(
+    hpipm.RECORD,
+    name="hpipm_ocp",
+    method="primal-dual interior point, factorised stage by stage",
+    form="csc",
+    levels=by_tolerance(*hpipm.TOLERANCE_NAMES, iter_max=200),
+)
+NOTHING: Indices = np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage of a QP, all by number.
+    """Indices of one stage of a QP.
 
     Parameters
     ----------
@@ -60,107 +60,46 @@ class Stage:
         return np.concatenate([self.inputs, self.states])
 
 
-def find_stages(P: Matrix, A: Matrix, equal: Flags) -> list[Stage]:
-    """Find the stages of a QP, in order; one stage if it has no others.
+def split_stages(
+    sizes: Sequence[tuple[int, int]], P: Matrix, A: Matrix, equal: Flags
+) -> list[Stage]:
+    """Split a QP into stages; one stage of inputs where the sizes do not fit it.
+
+    A row with l = u that ends in a state, as the first one to do so, defines this state by the
+    stage before. The cost and all other rows couple variables of one stage only.
 
     Parameters
     ----------
+    sizes : (states, inputs) of each stage, in the order of the variables; no state in the first.
     P : (n, n) symmetric cost; A : (m, n) rows; equal : (m,) which rows have l = u.
     """
-    row, column = np.nonzero(A)
-    members = np.split(column, np.searchsorted(row, np.arange(1, A.shape[0])))[: A.shape[0]]
-    defines = _definitions(members, equal)
-    stage_of = _potentials(_couplings(P, members, defines), set(defines.values()))
-    if stage_of is None:
-        defines, stage_of = {}, np.zeros(P.shape[0], dtype=np.intp)
-    return _collected(members, defines, stage_of)
-
-
-def _definitions(members: list[Indices], equal: Flags) -> dict[int, int]:
-    """Which variable a row may define: {row: variable}, no variable twice."""
-    last = {int(row): int(members[row].max()) for row in np.flatnonzero(equal) if members[row].size}
-    taken: set[int] = set()
-    defines = {}
-    for row, variable in last.items():
-        if variable not in taken:
-            taken.add(variable)
-            defines[row] = variable
-    return defines
-
-
-def _couplings(P: Matrix, members: list[Indices], defines: dict[int, int]) -> Couplings:
-    couplings: Couplings = [[] for _ in range(P.shape[0])]
-
-    def couple(i: int, j: int, apart: int) -> None:
-        couplings[i].append((j, apart))
-        couplings[j].append((i, -apart))
-
-    for i, j in zip(*(index.tolist() for index in np.nonzero(np.triu(P, 1))), strict=True):
-        couple(i, j, 0)
-    for row, variables in enumerate(members):
-        if row in defines:
-            for j in variables.tolist():
-                if j != defines[row]:
-                    couple(defines[row], j, -1)
-        else:
-            for i, j in zip(variables[:-1].tolist(), variables[1:].tolist(), strict=True):
-                couple(i, j, 0)
-    return couplings
-
-
-def _potentials(couplings: Couplings, states: set[int]) -> Indices | None:
-    """Find the stage of each variable, each connected part as early as can be.
-
-    None if there is none.
-
-    A state is never in stage 0, from where nothing could lead to it.
-    """
-    n = len(couplings)
-    stage_of, seen = np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.bool_)
-    for start in range(n):
-        if seen[start]:
-            continue
-        part = list(_walk(start, couplings, stage_of, seen))
-        first = min(int(stage_of[i]) - (i in states) for i in part)
-        stage_of[part] -= first
-    consistent = all(
-        stage_of[j] == stage_of[i] + apart for i in range(n) for j, apart in couplings[i]
-    )
-    return stage_of if consistent else None
-
-
-def _walk(start: int, couplings: Couplings, stage_of: Indices, seen: Flags) -> Iterator[int]:
-    """All variables connected with one, each given a stage on the way."""
-    seen[start] = True
-    waiting = deque([start])
-    while waiting:
-        i = waiting.popleft()
-        yield i
-        for j, apart in couplings[i]:
-            if not seen[j]:
-                seen[j] = True
-                stage_of[j] = stage_of[i] + apart
-                waiting.append(j)
-
-
-def _collected(members: list[Indices], defines: dict[int, int], stage_of: Indices) -> list[Stage]:
-    n, last = stage_of.size, int(stage_of.max())
+    m, n = A.shape
+    single = [Stage(np.arange(n), NOTHING, NOTHING, np.arange(m))]
+    if not sizes or sizes[0][0] or sum(map(sum, sizes)) != n:
+        return single
+    stage_of = np.repeat(np.arange(len(sizes)), [sum(size) for size in sizes])
+    is_state = np.concatenate([np.arange(x + u) < x for x, u in sizes])
+    used = A != 0.0
+    last = np.where(used.any(axis=1), n - 1 - used[:, ::-1].argmax(axis=1), 0)
     defining = np.full(n, -1, dtype=np.intp)
-    for row, variable in defines.items():
-        defining[variable] = row
-    # A row without any variable limits nothing but 0, in whichever stage it stands.
-    of_row = np.array([stage_of[v[0]] if v.size else 0 for v in members], dtype=np.intp)
-    of_row[list(defines)] = -1
+    candidates = np.flatnonzero(equal & is_state[last])[::-1]
+    defining[last[candidates]] = candidates
+    dynamics, of_row = defining[is_state], stage_of[last]
+    if (dynamics < 0).any():
+        return single
+    allowed = of_row[:, np.newaxis] == stage_of
+    allowed[dynamics] = of_row[dynamics, np.newaxis] == stage_of + 1
+    allowed[dynamics, last[dynamics]] = True
+    if (used & ~allowed).any() or P[stage_of[:, np.newaxis] != stage_of].any():
+        return single
+    of_row[dynamics] = -1
     stages = []
-    for k in range(last + 1):
+    for k in range(len(sizes)):
         here = np.flatnonzero(stage_of == k)
-        states = here[defining[here] >= 0]
-        inputs = here[defining[here] < 0]
-        stages.append(Stage(inputs, states, defining[states], np.flatnonzero(of_row == k)))
+        states = here[is_state[here]]
+        rows = np.flatnonzero(of_row == k)
+        stages.append(Stage(here[~is_state[here]], states, defining[states], rows))
     return stages
-
-
-NOTHING: Indices = np.empty(0, dtype=np.intp)
 
 
 def limited(A: Matrix, numbers: Indices) -> Matrix:
@@ -324,3 +263,100 @@ def addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
     """Where pieces of those sizes begin in an array, as C reads it."""
     first = np.concatenate([[0], np.cumsum(list(sizes), dtype=np.intp)[:-1]])
     return (array.ctypes.data + array.itemsize * first).astype(np.uintp)
+
+
+class OcpWorkspace(HpipmWorkspace):
+    """HPIPM by stages, found anew when other rows have l = u or an infinite side.
+
+    `warm` gives it the previous z, shifted.
+    """
+
+    def _convert(self) -> None:
+        super()._convert()
+        self._pattern = None
+
+    def _find(self) -> None:
+        """Find the stages, and what stays while the same limits are equal or infinite."""
+        self._pattern = Sides.pattern(self._l, self._u)
+        stages = split_stages(self._stages, self._P, self._A, self._l == self._u)
+        self._data = StageData(stages, self._P, self._A, self._low, self._high)
+
+    def _build(self) -> None:
+        m = self._m
+        self._low[:m], self._high[:m] = self._l, self._u
+        if Sides.pattern(self._l, self._u) != self._pattern:
+            self._find()
+        data = self._data
+        sizes, last = tuple(map(pointer, data.sizes)), len(data.stages) - 1
+        parts = self._parts = Structures(self._library, "ocp_qp", sizes, self._options, last)
+        for k, matrices in enumerate(data.matrices):
+            for name, array in matrices.items():
+                if array.size:
+                    parts.function(f"set_{name}")(k, pointer(array), parts.qp)
+        self._set_masks()
+        self._allocate()
+        self._fill(self._q, everything=True)
+
+    def _set_masks(self) -> None:
+        """Mask the sides out that do not exist, whose limits are numbers all the same."""
+        sides, parts = self._data.sides, self._parts
+        self._infinite = [np.flatnonzero(np.isinf(a[sides])) for a in (self._low, self._high)]
+        for k, limits in enumerate(self._data.limits):
+            for name, mask in limits.masks(self._low, self._high).items():
+                parts.function(f"set_{name}")(k, pointer(mask), parts.qp)
+
+    def _allocate(self) -> None:
+        """Buffers of all stages, and their addresses for what is set and got."""
+        nx, nu, nbx, nbu, ng, _ = self._data.sizes
+        nb, parts = nbx + nbu, self._parts
+        by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
+        self._cost = Part(parts, [[("r", u), ("q", x)] for u, x, _, _ in by_stage])
+        self._b = Part(parts, [[("b", x)] for x in nx[1:].tolist()])
+        self._limits = (
+            Part(parts, [[("lb", b), ("lg", g)] for _, _, b, g in by_stage]),
+            Part(parts, [[("ub", b), ("ug", g)] for _, _, b, g in by_stage]),
+        )
+        data = self._data
+        self._z, self._pi = np.empty(self._n), np.empty(data.dynamics.size)
+        self._lower, self._upper = np.empty(data.sides.size), np.empty(data.sides.size)
+        variables = np.stack([nu, nx], axis=1).reshape(-1)
+        limits = np.stack([nb, ng], axis=1).reshape(-1)
+        at_z = addresses(self._z, variables).reshape(-1, 2)
+        at_lower = addresses(self._lower, limits).reshape(-1, 2)
+        at_upper = addresses(self._upper, limits).reshape(-1, 2)
+        none = np.zeros(nx.size, dtype=np.uintp)
+        at_pi = addresses(self._pi, nx[1:])
+        tables = [*at_z.T, none, none, at_pi]
+        tables += [at_lower[:, 0], at_upper[:, 0], at_lower[:, 1], at_upper[:, 1], none, none]
+        self._tables = [np.ascontiguousarray(table) for table in tables]
+        self._pieces = [pointer(table) for table in self._tables]
+        self._get, self._set = parts.function("sol_get_all"), parts.function("sol_set_all")
+
+    def _fill(self, q: Vector, everything: bool = False) -> None:
+        data = self._data
+        self._cost.gather(q, data.order)
+        b = self._b.gather(self._high, data.dynamics)
+        b /= data.pivots
+        both = zip(self._limits, (self._low, self._high), self._infinite, strict=True)
+        for part, limits, infinite in both:
+            gathered = part.gather(limits, data.sides)
+            if infinite.size:
+                gathered[infinite] = 0.0
+        for part in (self._cost, self._b, *self._limits):
+            part.send(everything)
+
+    def _place_start(self) -> None:
+        self._start.z.take(self._data.order, out=self._z)
+        self._set(*self._pieces, self._parts.sol)
+
+    def _read_point(self) -> Point:
+        data, m = self._data, self._m
+        self._get(self._parts.sol, *self._pieces)
+        z, y = np.empty(self._n), np.zeros(m + self._n)
+        z[data.order] = self._z
+        y[data.sides] = self._upper - self._lower
+        y[data.dynamics] = -self._pi / data.pivots
+        return z, y[:m], y[m:]
+
+
+NATIVE = NativeAdapter(RECORD, OcpWorkspace, lambda: (*hpipm.OPTION_NAMES, "ric_alg"))

@@ -1,0 +1,330 @@
+"""HPIPM through ctypes, on the library in the casadi wheel: two-sided, start primal.
+
+`HpipmWorkspace` is common to its dense solver, here, and the one by stages, in `hpipm_ocp`. HPIPM
+takes an infinite side as one that is masked out, and l = u as an equality of its own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from abc import abstractmethod
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.arrays import Vector
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Claim, NativeAdapter
+from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
+
+MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
+TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
+INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr", "kkt_fact_alg", "ric_alg")
+OPTION_NAMES = ("mode", "mu0", *TOLERANCE_NAMES, "reg_prim", "alpha_min", *INTEGERS[:3])
+"""Settings that both interfaces have."""
+STATUS = {
+    0: Status.SOLVED,
+    1: Status.MAX_ITERATIONS,
+    2: Status.NUMERICAL_ERROR,  # step length at its minimum
+    3: Status.NUMERICAL_ERROR,  # NaN in the solution
+    4: Status.PRIMAL_INFEASIBLE,  # inconsistent equalities
+}
+# BLASFEO writes less: names of four vector instructions at most.
+TEXT_BYTES = 256
+
+
+def _load(name: str) -> ctypes.CDLL:
+    return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
+
+
+def blasfeo_build() -> Build:
+    """Read the vector instructions that HPIPM's linear algebra was compiled for.
+
+    Every target of BLASFEO but the generic one needs some.
+    """
+    return read_blasfeo_build(_load("libblasfeo.so"))
+
+
+def read_blasfeo_build(library: Any) -> Build:
+    """Read the build of a loaded BLASFEO; an empty one where the library does not name it."""
+    if not hasattr(library, "blasfeo_processor_library_features"):
+        return Build()
+    features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
+    library.blasfeo_processor_library_features(ctypes.byref(features))
+    if features.value == 0:
+        return Build("BLASFEO generic", generic=True)
+    library.blasfeo_processor_library_string(text)
+    return Build(f"BLASFEO {' '.join(text.value.decode('ascii').split())}")
+
+
+RECORD = SolverRecord(
+    name="hpipm",
+    family="interior point",
+    method="primal-dual interior point, dense",
+    distribution="casadi",
+    module="casadi",
+    extra="casadi",
+    form="dense",
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            start="primal",
+            two_sided=True,
+            detects_infeasibility=False,
+        )
+    },
+    # It meets equalities by a Schur complement by default, which takes a positive definite cost;
+    # by the null space (0) it takes any convex one.
+    levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
+    project=project_facts(
+        licence=("BSD-2-Clause", "HPIPM source, head of each file"),
+        language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
+        c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
+        allocation_free=(
+            "yes, memory comes from the caller",
+            "HPIPM source, *_memsize and *_create",
+        ),
+        single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
+    ),
+    build=blasfeo_build,
+)
+
+
+class Structures:
+    """HPIPM's structures of one problem size, and the memory behind them.
+
+    Parameters
+    ----------
+    kind : "dense_qp" or "ocp_qp".
+    sizes : the arguments of `dim_set_all`; options : settings by name.
+    stages : what the structure of the sizes is made of: nothing, or the number of the last stage.
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        kind: str,
+        sizes: tuple[Any, ...],
+        options: Options,
+        *stages: int,
+    ) -> None:
+        self._library, self._kind = library, f"d_{kind}"
+        self._memory: list[Any] = []
+        self.dim = self._make("_dim", *stages)
+        self.function("dim_set_all")(*sizes, self.dim)
+        self.qp, self.sol, self.arg = (self._make(k, self.dim) for k in ("", "_sol", "_ipm_arg"))
+        self._set_arguments(dict(options))
+        # Its size depends on the arguments.
+        self.ws = self._make("_ipm_ws", self.dim, self.arg)
+        self._solve = self.function("ipm_solve")
+        self._set_warm_start = self.function("ipm_arg_set_warm_start")
+        self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
+        self._flag, self._count = ctypes.c_int(), ctypes.c_int()
+        self._getters = [
+            (self.function("ipm_get_status"), ctypes.byref(self._flag)),
+            (self.function("ipm_get_iter"), ctypes.byref(self._count)),
+        ]
+
+    def function(self, name: str) -> Any:
+        """Look up a function of the library for this kind of problem."""
+        return getattr(self._library, f"{self._kind}_{name}")
+
+    def calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
+        """Return the function and the address of each array that is not empty, to set or get it."""
+        named = [(name, array) for name, array in arrays.items() if array.size]
+        return [(self.function(f"{verb}_{name}"), pointer(array)) for name, array in named]
+
+    def start_warm(self, given: bool) -> None:
+        """Begin the next solve with the values in `sol`, or without a start."""
+        self._set_warm_start(self._warm_flags[given], self.arg)
+
+    def solve(self) -> None:
+        """Solve `qp` into `sol`."""
+        self._solve(self.qp, self.sol, self.arg, self.ws)
+
+    def outcome(self) -> Claim:
+        """Read HPIPM's claim about the last solve."""
+        for function, target in self._getters:
+            function(self.ws, target)
+        flag = self._flag.value
+        return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
+
+    def _set_arguments(self, options: dict[str, Any]) -> None:
+        mode = MODES.index(str(options.pop("mode", "SPEED")))
+        self.function("ipm_arg_set_default")(mode, self.arg)
+        for name, value in options.items():
+            number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
+            self.function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
+
+    def _make(self, kind: str, *parts: Any) -> Any:
+        library, prefix = self._library, f"{self._kind}{kind}"
+        sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
+        for function in sizes:
+            function.restype = ctypes.c_size_t
+        structure = ctypes.create_string_buffer(sizes[0]())
+        memory = ctypes.create_string_buffer(sizes[1](*parts))
+        self._memory += [structure, memory]
+        getattr(library, f"{prefix}_create")(*parts, structure, memory)
+        return structure
+
+
+def pointer(array: NDArray[Any]) -> Any:
+    """Return the address of an array, for a C function."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class HpipmWorkspace(NativeWorkspace):
+    """HPIPM on limits of [A; I], `_low` and `_high`; another `_pattern` of them is set up anew.
+
+    `_build` makes `_parts`; `_fill` hands over a gradient and the limits, `_place_start` the start.
+    """
+
+    _parts: Structures
+    _pattern: bytes | None = None
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record, policy, options)
+        # libhpipm needs libblasfeo loaded first. Its names stay its own: PIQP's factorisation by
+        # stages brings another BLASFEO of the same names, and would call this one and corrupt
+        # memory.
+        _load("libblasfeo.so")
+        self._library = _load("libhpipm.so")
+
+    @abstractmethod
+    def _fill(self, q: Vector) -> None: ...
+
+    @abstractmethod
+    def _place_start(self) -> None: ...
+
+    def _convert(self) -> None:
+        self._low, self._high = self._limits_of_all()
+
+    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+        if Sides.pattern(low, high) != self._pattern:
+            self._build_for(q, low, high)
+            return
+        m = self._m
+        self._low[:m], self._high[:m] = low, high
+        self._fill(q)
+        if self._warm:
+            given = self._start.advance()
+            if given:
+                self._place_start()
+            self._parts.start_warm(given)
+
+    def _call(self) -> None:
+        self._parts.solve()
+
+    def _read_claim(self) -> Claim:
+        return self._parts.outcome()
+
+
+class Limits:
+    """Index sets of the limits of [A; I]: equalities, bounds, general rows; and their buffers.
+
+    The wheel's HPIPM reads an index it never set when the lower side of a bound is masked out, so a
+    bound with an infinite side goes as a general row.
+    """
+
+    def __init__(self, low: Vector, high: Vector, m: int) -> None:
+        equal = low == high
+        as_bound = (np.arange(low.size) >= m) & np.isfinite(low) & np.isfinite(high) & ~equal
+        self.equal = np.flatnonzero(equal)
+        self.bounds = np.flatnonzero(as_bound)
+        self.rows = np.flatnonzero(~equal & ~as_bound)
+        # Bounds come before rows, as in HPIPM.
+        self.sides = np.concatenate([self.bounds, self.rows])
+        self.b = np.empty(self.equal.size)
+        self.low, self.high = np.empty(self.sides.size), np.empty(self.sides.size)
+        self.infinite = [np.flatnonzero(np.isinf(limit[self.sides])) for limit in (low, high)]
+
+    def fill(self, low: Vector, high: Vector) -> None:
+        """Gather the limits of a step; a side that is masked out still has to be a number."""
+        low.take(self.sides, out=self.low)
+        high.take(self.sides, out=self.high)
+        for limit, infinite in zip((self.low, self.high), self.infinite, strict=True):
+            if infinite.size:
+                limit[infinite] = 0.0
+        if self.b.size:
+            high.take(self.equal, out=self.b)
+
+    def masks(self) -> list[Vector]:
+        """Return 1 for each lower and upper side of a general row that exists, 0 for the others."""
+        masks = [np.ones(self.sides.size) for _ in range(2)]
+        for mask, infinite in zip(masks, self.infinite, strict=True):
+            mask[infinite] = 0.0
+        return [mask[self.bounds.size :].copy() for mask in masks]
+
+
+class DenseWorkspace(HpipmWorkspace):
+    """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
+
+    def _convert(self) -> None:
+        super()._convert()
+        self._rows = stacked(self._A, self._n)
+
+    def _build(self) -> None:
+        n, m, library = self._n, self._m, self._library
+        self._low[:m], self._high[:m] = self._l, self._u
+        self._pattern = Sides.pattern(self._l, self._u)
+        limits = self._limits = Limits(self._low, self._high, m)
+        sizes = (n, limits.equal.size, limits.bounds.size, limits.rows.size, 0)
+        self._parts = parts = Structures(library, "dense_qp", sizes, self._options)
+        lower, upper = limits.masks()
+        constants: dict[str, NDArray[Any]] = {
+            "H": self._P,
+            "A": np.asfortranarray(self._rows[limits.equal]),
+            "C": np.asfortranarray(self._rows[limits.rows]),
+            "idxb": (limits.bounds - m).astype(np.intc),
+            "lg_mask": lower,
+            "ug_mask": upper,
+        }
+        for name, array in constants.items():
+            parts.function(f"set_{name}")(pointer(array), parts.qp)
+        self._allocate(limits)
+        self._fill(self._q)
+
+    def _allocate(self, limits: Limits) -> None:
+        n_bounds = limits.bounds.size
+        self._g, self._z = np.empty(self._n), np.empty(self._n)
+        self._pi = np.empty(limits.equal.size)
+        self._lower, self._upper = np.empty_like(limits.low), np.empty_like(limits.high)
+        inputs, outputs = {"g": self._g, "b": limits.b}, {"v": self._z, "pi": self._pi}
+        for side, limit, dual in (
+            ("l", limits.low, self._lower),
+            ("u", limits.high, self._upper),
+        ):
+            inputs |= {f"{side}b": limit[:n_bounds], f"{side}g": limit[n_bounds:]}
+            outputs |= {f"lam_{side}b": dual[:n_bounds], f"lam_{side}g": dual[n_bounds:]}
+        self._setters = self._parts.calls("set", inputs)
+        self._getters = self._parts.calls("sol_get", outputs)
+
+    def _fill(self, q: Vector) -> None:
+        self._g[:] = q
+        self._limits.fill(self._low, self._high)
+        qp = self._parts.qp
+        for function, address in self._setters:
+            function(address, qp)
+
+    def _place_start(self) -> None:
+        self._library.d_dense_qp_sol_set_v(pointer(self._start.z), self._parts.sol)
+
+    def _read_point(self) -> Point:
+        m, sol = self._m, self._parts.sol
+        for function, address in self._getters:
+            function(sol, address)
+        y, limits = np.zeros(m + self._n), self._limits
+        y[limits.sides] = self._upper - self._lower
+        if limits.equal.size:
+            y[limits.equal] = -self._pi
+        return self._z.copy(), y[:m], y[m:]
+
+
+NATIVE = NativeAdapter(RECORD, DenseWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))

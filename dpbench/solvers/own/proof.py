@@ -1,0 +1,233 @@
+"""Proofs in floating point that a problem has no feasible point.
+
+    Aᵀy + y_box = 0,   Σ u y⁺ − Σ l y⁻ + Σ ub y_box⁺ − Σ lb y_box⁻ < 0
+
+The referee decides such proofs exactly; a solver's own data have been rounded on the way, so that
+it has to say what it takes for zero.
+
+Whether rows with equal limits that depend on one another do so to the last bit.
+
+A row that is a combination of others but for rounding is, taken for exact, independent of them: it
+asks for one point more, and rounding decides which. One that is a combination exactly, but has
+another limit, leaves no point at all. No answer computed in floating point from such rows is their
+optimum, however well it meets the optimality conditions.
+
+    rest = r · basis   in long double
+
+The active-set method on an orthogonal factorisation, for what rounding keeps the fast one from.
+
+`qp/dual_active_set.py` finds the set without ever forming products of rows, so that rows at an
+angle of 1e-10 are still told apart; this module refines the answer on the set and reports.
+
+    refinement:  P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.kernel_cache import njit
+from dpbench.qp.dual_active_set import CONTRADICTION, Ending, Outcome, Projection
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.solution import Solution, Status
+
+ROUNDING = 1e-13
+"""Entries of a ray below this share of its largest are rounding."""
+CONSISTENT = 1e-6
+"""Share of its terms below which a sum of a ray may be meant to vanish."""
+PROVEN = 1e-10
+"""Share of its terms to which a sum of a proof is taken to be what it is computed to be."""
+TINY = 2.3e-308
+"""The smallest number that is not subnormal."""
+FAR = 1e6
+"""How many times farther than the limits of the proof are no feasible point is left, where a
+variable has no bound to absorb what does not cancel."""
+
+
+def contradicts(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
+    """Whether (y, y_box) proves `qp` infeasible, but for rounding; see `is_proof`."""
+    return bool(is_proof(qp.A, qp.l, qp.u, qp.lb, qp.ub, y, y_box))
+
+
+@njit("void(f8[:], f8[:])", cache=True)
+def clean(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
+    """Take the entries of a ray that are rounding out of it."""
+    most = 0.0
+    for part in (y, y_box):
+        for i in range(len(part)):
+            most = max(most, abs(part[i]))
+    for part in (y, y_box):
+        for i in range(len(part)):
+            part[i] = part[i] if abs(part[i]) > ROUNDING * most else 0.0
+
+
+@njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
+def _reach(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
+    """Return the largest sum along a ray that limits allow, and the size of its terms."""
+    reach, size = 0.0, 0.0
+    for i in range(len(ray)):
+        if ray[i] != 0.0:
+            term = ray[i] * (high[i] if ray[i] > 0.0 else low[i])
+            reach, size = reach + term, size + abs(term)
+    return reach, size
+
+
+@njit("b1(f8[:, :], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])", cache=True, error_model="numpy")
+def is_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
+    """Whether (y, y_box) proves that l ≤ A z ≤ u and lb ≤ z ≤ ub have no point, but for rounding.
+
+    Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the
+    limits allow the sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms,
+    and by more than what entries of y_box that name no bound can add within `FAR`.
+    """
+    box, terms = np.zeros(len(y_box)), np.abs(y_box)
+    for i in range(len(y)):
+        if y[i] != 0.0:
+            for k in range(len(box)):
+                box[k] -= y[i] * A[i, k]
+                terms[k] += abs(y[i] * A[i, k])
+    unbounded, most = 0.0, TINY
+    for k in range(len(box)):
+        if not abs(box[k] - y_box[k]) <= CONSISTENT * terms[k]:
+            return False
+        most = max(most, terms[k])
+        if abs(ub[k] if box[k] > 0.0 else lb[k]) == np.inf:
+            unbounded += abs(box[k])
+            box[k] = 0.0
+    of_rows, of_bounds = _reach(y, l, u), _reach(box, lb, ub)
+    size = of_rows[1] + of_bounds[1]
+    return of_rows[0] + of_bounds[0] < -(PROVEN + FAR * unbounded / most) * size
+
+
+INDEPENDENT = 1e-7
+"""Share of a row's length that has to be left beside the others."""
+LONG_ROUNDING = float(np.finfo(np.longdouble).eps)
+"""Of each term of a combination: far less than rounding to double leaves."""
+LONG_ROUNDS = 4
+"""Of refinement of r; each gains the digits that a condition of 1 / `INDEPENDENT` has left."""
+
+
+def determined(qp: QuadraticProgram) -> bool:
+    """Whether the rows of [A; I] with equal limits are independent, or exactly redundant.
+
+    Where long double is no longer than double, rows redundant to rounding count as exactly so.
+    """
+    low, high = qp.limits()
+    rows, limits = np.vstack([qp.A, np.eye(qp.n)])[low == high], low[low == high]
+    rows, limits = rows[rows.any(axis=1)], limits[rows.any(axis=1)]
+    if len(rows) < 2:
+        return True
+    length = np.linalg.norm(rows, axis=1)
+    R, order = scipy.linalg.qr(rows.T / length, mode="r", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diagonal(R)) > INDEPENDENT))
+    both = np.column_stack([rows, limits])
+    return _redundant(both[order[:rank]], both[order[rank:]])
+
+
+def apart(rows: Matrix, share: float) -> bool:
+    """Whether no row is a combination of others, but for that share of its length or less."""
+    rows = rows[rows.any(axis=1)]
+    if len(rows) > rows.shape[1]:
+        return False
+    R = scipy.linalg.qr((rows.T / np.linalg.norm(rows, axis=1)), mode="r", pivoting=True)[0]
+    return bool((np.abs(np.diagonal(R)) > share).all())
+
+
+def _redundant(basis: Matrix, rest: Matrix) -> bool:
+    """Whether the rows of `rest` are exact combinations of those of `basis`, limits included."""
+    Q, R = np.linalg.qr(basis[:, :-1].T)
+    exact, target = basis.astype(np.longdouble), rest.astype(np.longdouble)
+    r = np.zeros((len(rest), len(basis)), dtype=np.longdouble)
+    for _ in range(LONG_ROUNDS):
+        left = (target - r @ exact).astype(np.float64)[:, :-1]
+        r += scipy.linalg.solve_triangular(R, Q.T @ left.T).T
+    terms = np.abs(target).max(axis=1) + np.abs(r) @ np.abs(exact).max(axis=1)
+    rounding = LONG_ROUNDING * (2 + len(basis)) * terms
+    return bool((np.abs(target - r @ exact).max(axis=1) <= rounding).all())
+
+
+STATUS = {
+    Ending.OPTIMAL: Status.SOLVED,
+    Ending.INFEASIBLE: Status.PRIMAL_INFEASIBLE,
+    Ending.ITERATION_LIMIT: Status.MAX_ITERATIONS,
+}
+# Of refinement; each gains the digits that the conditioning of the set has left.
+ROUNDS = 5
+
+
+def solve_carefully(
+    qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
+) -> Solution:
+    """Solve `qp`, whose P is positive definite and whose data are finite or limits.
+
+    Parameters
+    ----------
+    start : (m + n,) signs of the rows of [A; I] to begin with, independent of one another.
+    contradiction : share by which a row must contradict others for the answer to be infeasible;
+        with inf it is a point, whatever it violates.
+    """
+    try:
+        M = np.vstack([qp.A, np.eye(qp.n)])
+        problem = _Problem(qp, M, *qp.limits(), Projection.of(qp.P, M))
+        return problem.answer(start, contradiction)
+    except np.linalg.LinAlgError as error:
+        return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
+
+
+@dataclass(eq=False)
+class _Problem:
+    """The problem with its rows M = [A; I] and their limits, and as a projection."""
+
+    qp: QuadraticProgram
+    M: Matrix
+    lower: Vector
+    upper: Vector
+    projection: Projection
+
+    def answer(self, start: Vector | None, contradiction: float) -> Solution:
+        """Run the method, refine where it ended, and say how it ended."""
+        n, m = self.qp.n, self.qp.m
+        outcome = self.projection.solve(
+            self.qp.q, self.lower, self.upper, start=start, contradiction=contradiction
+        )
+        lam = outcome.multipliers
+        if outcome.ending is Ending.INFEASIBLE:
+            z, detail = np.full(n, np.nan), "y and y_box are a Farkas ray"
+        else:
+            z, lam = self._refined(outcome, lam)
+            detail = "" if outcome.ending is Ending.OPTIMAL else outcome.ending.value
+        status = STATUS[outcome.ending]
+        return Solution(status, z, lam[:m], lam[m:], outcome.iterations, detail=detail)
+
+    def _refined(self, outcome: Outcome, lam: Vector) -> tuple[Vector, Vector]:
+        """Refine on the final set, less rows whose multiplier is rounding of the wrong sign."""
+        W, side = outcome.active, outcome.side
+        inequality = self.lower < self.upper
+        L = self.projection.L
+        z = -np.linalg.solve(L.T, np.linalg.solve(L, self.qp.q + self.M.T @ lam))
+        while True:
+            z, lam = self._on_set(W, side, z, lam)
+            wrong = inequality[W] & (side[W] * lam[W] < 0.0)
+            if not wrong.any():
+                return z, lam
+            lam[W[wrong]] = 0.0
+            W = W[~wrong]
+
+    def _on_set(self, W: Indices, side: Vector, z: Vector, lam: Vector) -> tuple[Vector, Vector]:
+        """Refinement of (z, λ) on W in the problem's own data, residuals in long double."""
+        L, M, qp = self.projection.L, self.M.astype(np.longdouble), self.qp
+        P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)
+        J_W = self.projection.J[:, W] / self.projection.scale[W]
+        Q, R = np.linalg.qr(J_W)
+        g = np.where(side[W] > 0.0, self.upper[W], self.lower[W])
+        for _ in range(ROUNDS):
+            e = -np.linalg.solve(L, (P @ z + q + lam @ M).astype(np.float64))
+            slack = (g - M[W] @ z).astype(np.float64)
+            step = np.linalg.solve(R, Q.T @ e - np.linalg.solve(R.T, slack))
+            lam[W] += step
+            z = z + np.linalg.solve(L.T, e - J_W @ step)
+        return z, lam
