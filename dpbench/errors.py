@@ -40,8 +40,6 @@ class InputError(DpbenchError, ValueError):
 class SituationError(InputError):
     """A situation that no single value is to blame for: one plain sentence with a remedy.
 
-    Parameters
-    ----------
     where : file, option or solver it is about.
     sentence : what is the matter, and what to do.
     """
@@ -91,8 +89,6 @@ _NEAREST = 3
 def one_of(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Name what is allowed in place of `text`: all known names, or of many the three nearest.
 
-    Parameters
-    ----------
     listing : the command that lists all of them; "" where there is none.
     """
     if len(known) <= MOST_NAMES:

@@ -36,8 +36,6 @@ _POLL_S = 0.1
 class Holder:
     """A process that holds a lock, as it says in the file.
 
-    Parameters
-    ----------
     work : what it does meanwhile: its result folder.
     since : when it began that [s since the epoch].
     """
@@ -67,8 +65,6 @@ class Holder:
 class Patience:
     """How long a lock that others hold is waited for.
 
-    Parameters
-    ----------
     limit_s : the longest wait, 0 for none; None without a limit.
     """
 
@@ -109,16 +105,11 @@ def lock_file(
 
     Yields false where there is none to be had.
 
-    Parameters
-    ----------
     how : ALONE, or TOGETHER with others that ask for that.
     holder : this process, for those who wait for it.
     where : what is locked, for the error.
     say_waiting : called once with the holders, before a wait.
-
-    Raises
-    ------
-    BusyError : see `Patience`.
+    Raises BusyError where see `Patience`.
     """
     with ExitStack() as stack:
         held = False

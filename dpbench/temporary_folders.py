@@ -66,9 +66,7 @@ that it inherits; without another reference to the context it would remove its p
 def process_folder() -> Path:
     """Return a folder of this process on the disk for temporary files, gone when the process ends.
 
-    Raises
-    ------
-    OSError : there is no place for one.
+    Raises OSError where there is no place for one.
     """
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()

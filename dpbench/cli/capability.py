@@ -38,9 +38,7 @@ _CELL = 15
 def tell_capability(arguments: argparse.Namespace) -> str:
     """Return the output of `dpbench capability`.
 
-    Raises
-    ------
-    InputError : a vessel without thrusters or hull, sides or a figure that cannot be, a solver that
+    Raises InputError where a vessel without thrusters or hull, sides or a figure that cannot be, a solver that
         is not there.
     """
     figure = _figure_file(arguments.figure)

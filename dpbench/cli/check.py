@@ -39,10 +39,6 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
     That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
     of problems by qpsolvers; or a folder of results that was sent to us. Every optimum is
     certified, which may take a while.
-
-    Raises
-    ------
-    InputError : naming file, key, what was found and what is allowed.
     """
     if is_stored(asked):
         return _check_sequence(sequence_path(asked), progress)

@@ -42,8 +42,6 @@ OLD_COMMANDS = {"hunt": "worst-case"}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code.
 
-    Parameters
-    ----------
     argv : the words after the command; None for those of this process, which ends with it.
     """
     if argv is not None:

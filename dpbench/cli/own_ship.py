@@ -40,12 +40,7 @@ class Quantity:
     most: float
 
     def read(self, option: str, text: str | None) -> float | None:
-        """Its number; None where it is not given.
-
-        Raises
-        ------
-        InputError : naming the option, what was found and what is allowed.
-        """
+        """Its number; None where it is not given."""
         if text is None:
             return None
         try:
@@ -86,10 +81,6 @@ def make_own_ship(asked: argparse.Namespace) -> list[str]:
 
     Without any particulars, and with `NAME.toml` there, the ship stays as it is and only scenario
     and suite of another sea are written.
-
-    Raises
-    ------
-    InputError : naming option or file, what was found and what is allowed.
     """
     name, folder = asked.name, Path(asked.out)
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):

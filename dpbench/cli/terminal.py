@@ -47,8 +47,6 @@ def wrapped(text: str, *, first: str = "", others: str = "") -> str:
 
     A path or a key stays whole, so that it can be copied.
 
-    Parameters
-    ----------
     first : what the first line begins with; others : the same of the lines after it.
     """
     return textwrap.fill(
@@ -121,8 +119,6 @@ def _row_by_row(table: ReportTable) -> Text:
 def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
     """Print what a run or report ends with.
 
-    Parameters
-    ----------
     rows : what each line is about, and the line.
     arguments : with `json`, `quiet` and `open`.
     """

@@ -51,9 +51,7 @@ class RunPlots:
     def ship(self, *others: JudgedRun) -> Any:
         """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
-        Raises
-        ------
-        InputError : for a replay, which has no ship, or runs of two scenarios.
+        Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
         from dpbench.report.charts.ship import path
 
@@ -63,9 +61,7 @@ class RunPlots:
     def errors(self, *others: JudgedRun) -> Any:
         """North, east, heading and radial error of the ship against time (Fig. 5 of the paper).
 
-        Raises
-        ------
-        InputError : as `ship`.
+        Raises InputError where as `ship`.
         """
         from dpbench.report.charts.ship import precision
 

@@ -11,8 +11,8 @@ from dpbench.errors import InputError
 from dpbench.scenario.tables.scenario_file import EstimatorTable, ScenarioFile
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
@@ -24,8 +24,6 @@ CALM_STD = np.array([0.05, 0.05, np.radians(0.05)])
 class EstimatorChoice:
     """The estimator of a scenario before there is a ship.
 
-    Parameters
-    ----------
     kind : "measured", "kalman" or "passive".
     wave_filter : whether it tells the motion of the waves from that of the ship.
     waves : what it assumes of the wave motion; None where nothing is estimated.
@@ -56,9 +54,7 @@ class EstimatorChoice:
 def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
     """The estimator of a scenario file.
 
-    Raises
-    ------
-    InputError : for a filter that is told the period of no waves.
+    Raises InputError for a filter that is told the period of no waves.
     """
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
     sensor = SENSOR_STD * scale.pose

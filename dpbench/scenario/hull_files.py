@@ -49,8 +49,6 @@ COUPLINGS = ("M26", "D26", "D62")
 class Hull:
     """What a file says of a hull.
 
-    Parameters
-    ----------
     M, D : (3, 3) inertia and damping [SI]. particulars : those of `PARTICULARS` that it has.
     method : how they were made, a sentence. remarks : what the reader of the ship has to know.
     """
@@ -63,12 +61,7 @@ class Hull:
 
 
 def read_mss(path: Path) -> Hull:
-    """The hull of a vessel structure of the MSS toolbox.
-
-    Raises
-    ------
-    InputError : naming file, field, what was found and what is allowed.
-    """
+    """The hull of a vessel structure of the MSS toolbox."""
     vessel = _structure(path)
     rigid = _field(vessel, path, "MRB")
     omega = np.atleast_1d(_field(vessel, path, "freqs")).ravel()
@@ -148,12 +141,7 @@ def _main(vessel: _Fields) -> dict[str, float]:
 
 
 def read_table(path: Path) -> Hull:
-    """The hull of a table of coefficients.
-
-    Raises
-    ------
-    InputError : naming file, coefficient, what was found and what is allowed.
-    """
+    """The hull of a table of coefficients."""
     values = _values(path)
     for name in REQUIRED:
         if name not in values:

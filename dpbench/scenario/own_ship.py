@@ -89,8 +89,6 @@ def nearest_ship(own: Particulars) -> str:
 def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
     """M and D (3, 3) of a ship of that length and mass, and of the form of a library vessel.
 
-    Returns
-    -------
     M [kg, kg·m, kg·m²], D [kg/s, kg·m/s, kg·m²/s].
     """
     vessel, ship = load_vessel(like), LIBRARY[like]
@@ -108,9 +106,7 @@ def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own")
     share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in
     the wind grow with L² on the side and with L·B in front.
 
-    Raises
-    ------
-    InputError : there is no such vessel; limits without zero inside.
+    Raises InputError where there is no such vessel; limits without zero inside.
     """
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer, broader = own.length_m / ship.length_m, own.breadth_m / ship.breadth_m

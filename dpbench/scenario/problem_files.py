@@ -88,10 +88,8 @@ def problem_names(kind: str) -> list[str]:
 def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     """The file of a name or path; a relative path is looked for beside `beside` first.
 
-    Raises
-    ------
-    UnknownNameError : with the nearest names, when there is no such name.
-    InputError : when it looks like a path and no such file exists.
+    Raises UnknownNameError where with the nearest names, when there is no such name.
+    Raises InputError when it looks like a path and no such file exists.
     """
     text = str(name)
     if (kind, text) in OLD_NAMES:
@@ -115,9 +113,7 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
     Nothing is said of a path that does not exist: reading it does that.
 
-    Raises
-    ------
-    UnknownNameError : for what looks like a name, when there is no such name and no such folder.
+    Raises UnknownNameError for what looks like a name, when there is no such name and no such folder.
     """
     text = str(name_or_path)
     if is_stored(text):

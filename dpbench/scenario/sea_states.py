@@ -43,9 +43,7 @@ def sea_state(number: int) -> EnvironmentTable:
 def load_share(vessel: Vessel, number: int) -> float:
     """The mean force of that sea over the limits, in the axis where it is largest.
 
-    Raises
-    ------
-    InputError : the vessel has no hull data for wind or drift.
+    Raises InputError where the vessel has no hull data for wind or drift.
     """
     load = mean_load(vessel, sea_state(number).environment(Froude()))
     # What pushes astern is met with force ahead.

@@ -29,14 +29,9 @@ def varied(
 ) -> Scenario:
     """The scenario with other values of some keys, under its own name.
 
-    Parameters
-    ----------
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
-
-    Raises
-    ------
-    InputError : for a key that its files do not have, or a value that cannot be there.
+    Raises InputError for a key that its files do not have, or a value that cannot be there.
     """
     files = varied_files(scenario.files, values, where, beside=beside)
     return scenario_of(files, where=where, vessel_where=f"{where}: vessel")

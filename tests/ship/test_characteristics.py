@@ -18,10 +18,9 @@ from dpbench.ship.characteristics import (
     slow_speed,
     steady_speed,
 )
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.ship.environment import Environment
-from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import random_stream
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
@@ -103,26 +100,23 @@ def test_motion_and_noise_do_not_hang_on_the_other_sources() -> None:
 def test_every_random_source_draws_from_a_stream_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Wind, waves and noise each ask for one stream by a name that no other uses."""
-    asked: dict[str, set[tuple[int, str]]] = {
-        "weather.wind": set(),
-        "weather.waves": set(),
-        "sensors": set(),
-    }
-    for module, names in asked.items():
+    """Wind, waves and noise each take one stream by a name that no other uses."""
+    streams: dict[str, set[tuple[int, str]]] = {}
+    for module in ("weather.wind", "weather.waves", "environment"):
+        names = streams.setdefault(module, set())
 
-        def recorded(
+        def record(
             seed: int, name: str, names: set[tuple[int, str]] = names
         ) -> np.random.Generator:
             names.add((seed, name))
-            return stream(seed, name)
+            return random_stream(seed, name)
 
-        monkeypatch.setattr(f"dpbench.ship.{module}.stream", recorded)
+        monkeypatch.setattr(f"dpbench.ship.{module}.random_stream", record)
     rough(seed=6).stage_table(1, 0.3, 10)
     rough(seed=6).measured_motion(1, 0.3)
     rough(seed=6).noise_table(1)
-    assert all(len(names) == 1 and next(iter(names))[0] == 6 for names in asked.values())
-    assert len(set.union(*asked.values())) == 3
+    assert all(len(names) == 1 and next(iter(names))[0] == 6 for names in streams.values())
+    assert len(set.union(*streams.values())) == 3
 
 
 def test_weather_is_a_function_of_its_seed() -> None:

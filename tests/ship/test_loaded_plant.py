@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 

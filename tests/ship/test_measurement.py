@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.ship.environment import Environment
-from dpbench.ship.measurement import Sensors
-from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.environment import Environment, SensorNoise
+from dpbench.ship.plant import Sensors
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea
 
 CALM = (np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))

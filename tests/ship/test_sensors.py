@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.environment import SensorNoise
 
 
 def test_noise_has_its_standard_deviations() -> None:

@@ -59,9 +59,7 @@ class TurningThrusterControl(ThrusterControl):
 def thruster_control(spec: ControllerSpec) -> ThrusterControl:
     """Return the thrusters that the controller of a file commands.
 
-    Raises
-    ------
-    InputError : for a vessel without thrusters, or azimuth_turning where no azimuth can keep to it.
+    Raises InputError for a vessel without thrusters, or azimuth_turning where no azimuth can keep to it.
     """
     table, where = spec.thruster_table, spec.where
     thrusters = spec.thrusters("kind", spec.table.kind, "forces")

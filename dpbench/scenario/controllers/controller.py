@@ -37,8 +37,6 @@ of thrusters and their wear, and force demanded but not delivered."""
 class Controller(ABC):
     """A controller made ready for a ship.
 
-    Parameters
-    ----------
     tuning : a name for horizons and weights.
     problem : model at psi0_rad, horizons, weights and limits in SI units.
     linearisation : whether the model is linearised once or at each step.

@@ -45,9 +45,7 @@ class JointForceController(ForceController):
 def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
     """Return the problem of a plan of forces, and how faults change its limits.
 
-    Raises
-    ------
-    InputError : for limits = "attainable" in a vessel without thrusters.
+    Raises InputError for limits = "attainable" in a vessel without thrusters.
     """
     ship = spec.vessel
     R, du_max = np.diag(_move_weight(spec)), ship.step_max(spec.sample_s)

@@ -44,8 +44,6 @@ class Planning(TypedDict):
 class ControllerSpec:
     """Tables and ship of a controller.
 
-    Parameters
-    ----------
     file : of the scenario; vessel : the ship as the controller knows it; sample_s : ΔT [s].
     scale : Froude's, of the ship; where : the file named in errors.
     """

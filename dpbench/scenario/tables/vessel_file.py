@@ -24,7 +24,7 @@ from dpbench.scenario.tables.key_types import (
     ThreePositive,
     Two,
 )
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_N
 from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection

@@ -23,11 +23,8 @@ from dpbench.scenario.tables.key_types import (
     Three,
     ThreePositive,
 )
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.froude import Froude
-from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind, towards_rad
 

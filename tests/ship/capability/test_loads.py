@@ -16,8 +16,7 @@ from dpbench.ship.capability.conditions import (
     Condition,
     condition_of_wind,
 )
-from dpbench.ship.capability.hull import CapabilityHull
-from dpbench.ship.capability.loads import mean_loads
+from dpbench.ship.capability.loads import CapabilityHull, mean_loads
 
 PORT = np.array([1.0, -1.0, -1.0])
 """From axes with y to port to those with y to starboard, and back."""

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, condition_of_wind
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
     dead_losses,

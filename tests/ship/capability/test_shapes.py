@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import TURN, dead_losses, forbidden_zones, skeg_losses
 from dpbench.ship.capability.shapes import Piece, pieces
 from dpbench.ship.thrusters import ThrusterSet

@@ -12,9 +12,8 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
-from dpbench.ship.estimation.observer import change_matrix, model_change
+from dpbench.ship.estimation.observer import WaveModel, change_matrix, model_change
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 SAMPLE_S = 0.3

@@ -19,7 +19,7 @@ from dpbench.ship.estimation.kalman import (
     discretise,
     kalman_model,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3

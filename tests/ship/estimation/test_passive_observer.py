@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3

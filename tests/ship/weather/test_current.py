@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.weather.current import Current
 
 
 def flowing(speed_mps: float, to_rad: float) -> Environment:

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from dpbench.ship.weather.harmonics import Harmonics, realise
-from dpbench.ship.weather.spectra import jonswap
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, random_stream
 
 BAND = (0.3, 3.0)
 COUNT = 150
@@ -30,7 +28,7 @@ def integral(low: float, high: float) -> float:
 
 def made(seed: int) -> Harmonics:
     """A realisation of the sea."""
-    return realise(density, BAND, COUNT, stream(seed, "waves"))
+    return draw_harmonics(density, BAND, COUNT, random_stream(seed, "waves"))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -52,7 +50,7 @@ def test_the_energy_lies_where_the_spectrum_has_it(seed: int) -> None:
 
 def test_a_given_variance_replaces_the_integral() -> None:
     """A process can be asked to have an exact variance, whatever the truncation of its band."""
-    found = realise(density, BAND, COUNT, stream(0, "waves"), 0.25)
+    found = draw_harmonics(density, BAND, COUNT, random_stream(0, "waves"), 0.25)
     assert COUNT * found.amplitude**2 / 2 == pytest.approx(0.25, rel=1e-14)
 
 

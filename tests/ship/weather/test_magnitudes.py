@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 

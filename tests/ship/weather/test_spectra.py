@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import beta
 
-from dpbench.ship.weather.spectra import harris_gust, jonswap, norsok_gust
+from dpbench.ship.weather.harmonics import harris_gust, jonswap, norsok_gust
 
 
 @pytest.mark.parametrize("mean_mps", [5.0, 10.0, 24.4])

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.ship.environment import Environment
-from dpbench.ship.weather.squall import Squall
+from dpbench.ship.environment import Environment, Squall
 
 SQUALL = Squall(60.0, 5.0, 105.0, 30.0, np.array([-120e3, 340e3, 3000e3]))
 STEADY = Environment(np.array([-30e3, 120e3, 600e3]), np.zeros(3), np.ones(3), np.zeros(3), 60.0)

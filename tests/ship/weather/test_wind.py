@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.spectra import harris_gust, norsok_gust
+from dpbench.ship.weather.harmonics import harris_gust, norsok_gust
 from dpbench.ship.weather.wind import Wind, towards_rad
 
 Felt = Callable[..., np.ndarray]
