@@ -16,15 +16,17 @@ from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, one_of
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
 from dpbench.scenario.own_ship import (
+    DP_NUMBERS,
     LIBRARY,
     Particulars,
     Thrust,
+    largest_sea,
+    load_share,
     nearest_ship,
     scale_vessel,
     thrust_to_weight,
 )
 from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS, largest_sea, load_share
 from dpbench.ship.vessel import Vessel
 
 WHERE = "init"

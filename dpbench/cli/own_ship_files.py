@@ -13,21 +13,19 @@ import numpy as np
 from dpbench.report.words import document
 from dpbench.scenario.hull_files import Hull
 from dpbench.scenario.own_ship import (
-    LIBRARY,
-    Particulars,
-    froude_time,
-    regression_added_mass,
-    rigid_body,
-)
-from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import (
     CURRENT_SHARE,
     DP_NUMBERS,
     FROM_DEG,
+    LIBRARY,
     SPARE,
+    Particulars,
+    froude_time,
     load_share,
+    regression_added_mass,
+    rigid_body,
     sea_state,
 )
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WATER_DENSITY
 

@@ -8,18 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.scenario.own_ship import (
+    DP_NUMBERS,
     LIBRARY,
     NOT_CHOSEN,
+    SPARE,
     LibraryShip,
     Particulars,
     Thrust,
     froude_time,
+    largest_sea,
+    load_share,
     nearest_ship,
     regression_added_mass,
     scale_vessel,
 )
 from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS, SPARE, largest_sea, load_share
 from dpbench.ship.characteristics import axis_time_constants_s
 from dpbench.ship.froude import Froude
 from dpbench.ship.weather.waves import WATER_DENSITY

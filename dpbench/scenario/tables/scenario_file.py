@@ -71,8 +71,10 @@ class PlantTable(FileModel):
 
 
 class FaultTable(FileModel):
-    """From `at_s` on the limits of the force are this share of the vessel's, or thrusters are lost,
-    which is known to the controller at that sample."""
+    """A share of the limits of the force, or lost thrusters, from `at_s` on; the controller knows.
+
+    The controller has its new limits from that sample on.
+    """
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
 
@@ -196,7 +198,7 @@ class ControllerTable(FileModel):
         return self
 
     def _check_allocation(self, table: ThrusterControlTable) -> None:
-        """What belongs to a cascade and to nothing else."""
+        """Raise ValueError for keys that belong to a cascade and to nothing else."""
         if self.kind == "thrusters":
             if table.slack_weight_relative is not None or table.allocation is not None:
                 raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
@@ -264,7 +266,7 @@ class ReferenceTable(PoseTable):
     """Whether the controller sees the reference of the coming samples."""
 
     def smoothed(self, scale: Froude) -> ReferenceFilter | None:
-        """The filter in SI; None for none."""
+        """Return the filter in SI; None for none."""
         if self.filter is None:
             return None
         # To read a file takes none of the compiled modules.

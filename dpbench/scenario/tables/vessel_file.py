@@ -118,7 +118,7 @@ class ThrusterTable(FileModel):
         return self
 
     def thruster(self) -> Thruster:
-        """The thruster in SI units; raises InputError."""
+        """Return the thruster in SI units; raises InputError."""
         screw = None
         if self.thrust_kN is not None:
             thrust_N = 1e3 * self.thrust_kN
@@ -136,8 +136,10 @@ class ThrusterTable(FileModel):
 
 
 class CapabilityTable(FileModel):
-    """The hull as `dpbench capability` asks for it (DNV-ST-0111, table A-2); the areas above the
-    water are those of `[windage]`. What is left out is assumed, and the result says so."""
+    """The hull for `dpbench capability` (DNV-ST-0111, table A-2), with the areas of `[windage]`.
+
+    What is left out is assumed, and listed with the result.
+    """
 
     breadth_m: Positive
     """Breadth at the waterline [m]."""
@@ -164,7 +166,7 @@ class CapabilityTable(FileModel):
     [m]."""
 
     def hull(self, length_m: float, windage: Windage) -> CapabilityHull:
-        """The hull in SI units, L_pp being length_m."""
+        """Return the hull in SI units, L_pp being length_m."""
         assumed = {
             "submerged_length_m": length_m,
             "submerged_x_m": 0.0,
@@ -174,8 +176,8 @@ class CapabilityTable(FileModel):
             "submerged_m2": length_m * self.draught_m,
             "current_x_m": 0.0,
         }
-        said = {key: getattr(self, key) for key in assumed}
-        known = {key: assumed[key] if value is None else value for key, value in said.items()}
+        given = {key: getattr(self, key) for key in assumed}
+        known = {key: assumed[key] if value is None else value for key, value in given.items()}
         return CapabilityHull(
             length_m=length_m,
             breadth_m=self.breadth_m,
@@ -184,7 +186,7 @@ class CapabilityTable(FileModel):
             frontal_m2=windage.frontal_m2,
             lateral_m2=windage.lateral_m2,
             skegs=tuple((x, y) for x, y in self.skegs),
-            assumed=tuple(key for key, value in said.items() if value is None),
+            assumed=tuple(key for key, value in given.items() if value is None),
             **known,
         )
 
@@ -242,7 +244,7 @@ class VesselFile(FileModel):
         return self
 
     def vessel(self, name: str, where: str) -> Vessel:
-        """The vessel in SI units; raises InputError naming `where`."""
+        """Return the vessel in SI units; raises InputError naming `where`."""
         if self.inertia is not None:
             M, D = np.array(self.inertia), np.array(self.damping)
         else:

@@ -1,7 +1,7 @@
-"""The weather of scenario files, in the units sailors use, and what becomes of it in SI.
+"""The weather of scenario files, in the units of the trade, at full size.
 
-Wind and waves come *from* a compass direction, a current sets *towards* one. A file speaks of a
-full-size ship; for a model ship everything is scaled by Froude's law (`ship.froude`).
+Wind and waves come *from* a compass direction, a current sets *towards* one. For a model ship all
+is scaled by Froude's law.
 """
 
 from __future__ import annotations
@@ -121,24 +121,16 @@ class WavesTable(FileModel):
 
     def sea(self, scale: Froude) -> Sea:
         """In SI."""
-        return Sea(
-            self.hs_m * scale.length,
-            self.tp_s * scale.time,
-            towards_rad(self.from_deg),
-            self.gamma,
-        )
+        to_rad = towards_rad(self.from_deg)
+        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma)
 
     def first_order(self, scale: Froude) -> FirstOrderMotion | None:
         """In SI; None where the measurement shows none."""
-        if self.motion is None:
+        motion = self.motion
+        if motion is None:
             return None
-        turn = math.radians(self.motion.heading_deg_per_m) / scale.length
-        return FirstOrderMotion(
-            self.sea(scale),
-            self.motion.along_m_per_m,
-            self.motion.across_m_per_m,
-            turn,
-        )
+        turn = math.radians(motion.heading_deg_per_m) / scale.length
+        return FirstOrderMotion(self.sea(scale), motion.along_m_per_m, motion.across_m_per_m, turn)
 
     def motion_std(self, scale: Froude) -> Vector:
         """(3,) standard deviation of the first-order motion, the direction of the waves unknown."""
@@ -168,8 +160,10 @@ class NoiseTable(FileModel):
 
 
 class EnvironmentTable(FileModel):
-    """b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), north, east, yaw, in kN and kN·m; and
-    whatever else of the weather there is."""
+    """Slow forces b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), and the rest of the weather.
+
+    North, east, yaw, in kN and kN·m.
+    """
 
     mean_kN: Three = [0.0, 0.0, 0.0]
     """Constant part of the slow force: north, east [kN], yaw [kN·m]."""
@@ -195,7 +189,7 @@ class EnvironmentTable(FileModel):
     """Noise of the sensors."""
 
     def environment(self, scale: Froude) -> Environment:
-        """The weather in SI."""
+        """Return the weather in SI."""
         sea = self.waves.sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,

@@ -43,7 +43,7 @@ class WaveModel:
         h(s) = K_w s / (s² + 2 λ ω0 s + ω0²),     ω0 = 2π / T_p,     K_w = 2 σ √(λ ω0)
         ξ̇1 = ξ2,   ξ̇2 = −ω0² ξ1 − 2 λ ω0 ξ2 + K_w w,   wave motion = ξ2
 
-    With w of unit intensity the motion has the standard deviation σ, since var ξ2 = K_w² / (4 λ ω0).
+    With w of unit intensity the motion has the standard deviation σ, var ξ2 = K_w² / (4 λ ω0).
     (Fossen 2021, ch. 10.3, linear wave spectrum approximations; there σ is K_w / (2 λ ω0).)
 
     peak_period_s : (3,) period of the spectrum's peak T_p [s].

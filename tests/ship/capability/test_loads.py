@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.scenario.sea_states import DP_NUMBERS
+from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.ship.capability.conditions import (
     DP_CONDITIONS,
     Condition,

@@ -30,7 +30,8 @@ def test_streams_of_one_seed_are_uncorrelated() -> None:
 @pytest.mark.parametrize("hash_seed", ["0", "1"])
 def test_a_stream_is_the_same_in_another_process(hash_seed: str) -> None:
     """The key does not hang on anything that a process draws at its start."""
-    script = "from dpbench.ship.weather.harmonics import random_stream; print(random_stream(3, 'wind').random().hex())"
+    imported = "from dpbench.ship.weather.harmonics import random_stream"
+    script = f"{imported}; print(random_stream(3, 'wind').random().hex())"
     done = subprocess.run(
         [sys.executable, "-c", script],
         env={"PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)},
