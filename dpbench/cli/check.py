@@ -1,6 +1,6 @@
-"""Text of `dpbench check`: one line on a sequence or a suite, a dozen on a ship (`check_ship`).
+"""Text of `dpbench check`: a line on a sequence or a suite, a dozen on a ship (`check_ship`).
 
-Each kind imports its own work, so that a mistake is answered before anything heavy is loaded.
+Each kind imports its own work, so that an error appears before anything heavy is loaded.
 """
 
 from __future__ import annotations
@@ -34,11 +34,9 @@ CHECKED = (
 
 
 def check_file(asked: str, progress: Progress | None = None) -> str:
-    """Check what `run` takes, by its name or path; what it is, in one line, or a dozen of a ship.
+    """Check a file by name or path, as `CHECKED` lists them, certify its optima, and describe it.
 
-    That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
-    of problems by qpsolvers; or a folder of results that was sent to us. Every optimum is
-    certified, which may take a while.
+    Raises InputError naming file, key, what was found and what is allowed.
     """
     if is_stored(asked):
         return _check_sequence(sequence_path(asked), progress)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.cli.main import main
-from dpbench.cli.own_ship_files import OwnShip, scenario_text, suite_text, vessel_text
+from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
 from dpbench.scenario.hull_files import read_mss
 from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, Thrust, scale_vessel
 from dpbench.scenario.scenario import load_scenario, load_vessel

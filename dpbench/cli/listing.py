@@ -1,4 +1,4 @@
-"""Tables of the vessels, scenarios, suites and sequences that ship with the package.
+"""Tables of solvers and of the vessels, scenarios, suites and sequences of the package.
 
 Each kind imports its own work: only the cells of a suite take the planner and its kernels.
 """
@@ -25,10 +25,10 @@ horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
 K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
-def problem_list(kind: str) -> RenderableType:
-    """Make the table of the problems of a kind, in 80 columns."""
+def list_table(kind: str) -> RenderableType:
+    """Make the table of the solvers, or of the problems of a kind, in 80 columns."""
     makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (makers | {"sequences": _sequences})[kind]()
+    return (makers | {"sequences": _sequences, "solvers": _solvers})[kind]()
 
 
 def _vessels() -> RenderableType:
@@ -90,3 +90,21 @@ def _sequences() -> RenderableType:
             "each" if every == 1 else f"each {every}th",
         )
     return Group(table, plain(SEQUENCES_ARE))
+
+
+def _solvers() -> RenderableType:
+    from dpbench.solvers.table import solver_names
+
+    return plain("\n".join(map(_solver, solver_names())))
+
+
+def _solver(name: str) -> str:
+    from dpbench.solvers.settings import describe_levels
+    from dpbench.solvers.table import available, record
+
+    row, library = record(name), available(name)
+    installed = library.version or "" if library.ok else f"not installed: {library.reason}"
+    build = f", {library.build.text}" if library.build.text else ""
+    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+    about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
+    return entry(f"{name} {installed}{build}".rstrip(), about)
