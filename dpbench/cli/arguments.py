@@ -61,7 +61,7 @@ def complete(whole: argparse.ArgumentParser) -> None:
         for action in command._actions:
             is_solver, kind = action.dest in ("solver", "solvers"), _STORED.get(action.dest)
             if action.choices is None and (is_solver or kind):
-                action.completer = _list_solvers if is_solver else partial(_list_stored, kind)
+                action.completer = _list_solvers if is_solver else partial(_list_stored, str(kind))
     argcomplete.autocomplete(whole)
 
 

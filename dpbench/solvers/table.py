@@ -117,11 +117,11 @@ def _version(distribution: str) -> str:
     return metadata.version(distribution)
 
 
-def available(name: str) -> Availability:
-    """Import the library of a solver and say whether it worked.
+def available(name: str, *, imported: bool = True) -> Availability:
+    """Return whether the library of a solver is installed and can be imported.
 
-    A library that fails in its own way while it is imported is a library that is not available,
-    whatever it raised.
+    A library is not available whatever error it raises while it is imported. Without importing it
+    (`imported=False`) its build is not read.
     """
     row = record(name)
     if row.extra == "own":
@@ -135,6 +135,8 @@ def available(name: str) -> Availability:
         version = _version(row.distribution)
     except metadata.PackageNotFoundError:
         return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
+    if not imported:
+        return Availability(True, version)
     try:
         with warnings.catch_warnings():
             # A library that warns on import is available all the same.

@@ -110,10 +110,7 @@ def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize("setting", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}])
 @pytest.mark.parametrize("words", [["list", "vessels"], EXPORT], ids=lambda words: words[0])
 def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> None:
-    """A real one: no colour where none is wanted, no code at the end.
-
-    On one that can do bold, bold is no colour.
-    """
+    """A real one: no colour where none is wanted, no code at the end."""
     primary, secondary = pty.openpty()
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | setting
     program = [sys.executable, "-m", "dpbench", *words]

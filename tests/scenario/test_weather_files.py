@@ -81,10 +81,7 @@ def test_the_true_ship_differs_by_per_cent() -> None:
 
 @pytest.mark.slow
 def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
-    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70.
-
-    Weather, waves, noise, limits, faults, horizon and weights all have to scale for this to hold.
-    """
+    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70."""
     ratio = 70.0
     full = load_scenario("thruster_loss")
 

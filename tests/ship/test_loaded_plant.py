@@ -43,11 +43,7 @@ def simulate(
 
 
 def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> None:
-    """Under thrust, wind, current and drift the ship follows an eighth-order integrator.
-
-    The reference writes wind and drift with angles, and damping with the velocity through the
-    water in matrix form.
-    """
+    """Under thrust, wind, current and drift the ship follows an eighth-order integrator."""
     sea = weather("none")
     waves, beam = WAVES.harmonics(9), hull.reflection
     assert beam is not None

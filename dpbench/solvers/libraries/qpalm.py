@@ -5,7 +5,7 @@ Status texts of its C library, time in seconds.
 
 from __future__ import annotations
 
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status

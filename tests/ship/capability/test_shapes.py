@@ -80,8 +80,7 @@ def test_corners_lie_on_the_edge_and_chords_inside(
 def test_every_piece_is_convex_and_at_most_half_a_turn(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
-    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off:
-    which the test above shows; half a turn is what two sector rows can say."""
+    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off."""
     starboard = thrusters.thrusters[1]
     zones = forbidden_zones(starboard, thrusters.thrusters)
     shape = pieces(None, zones, [], skeg_losses(starboard, hull), STEP)

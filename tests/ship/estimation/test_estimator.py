@@ -41,10 +41,7 @@ ALL = (MeasuredState, *FILTERS)
 def turning_ship(
     estimator: Estimator, steps: int, heading_rad: float, wrapped: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, estimates and changes (steps, 6) of a ship that is steered to a heading.
-
-    Steered from its true state by springs and dampers, pushed by BIAS, measured without noise.
-    """
+    """States, estimates and changes (steps, 6) of a ship that is steered to a heading."""
     sea = Environment(BIAS, NOTHING, np.ones(3), NOTHING)
     table = sea.stage_table(1, SAMPLE_S, SUBSTEPS)[0]
     plant, tau = Plant(SHIP, START, SAMPLE_S), np.zeros(3)

@@ -65,10 +65,7 @@ def sampled(ship: Vessel, tuning: KalmanTuning, h: float) -> tuple[np.ndarray, .
 
 
 def innovations(tuning: KalmanTuning, steps: int, seed: int) -> tuple[KalmanFilter, np.ndarray]:
-    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING.
-
-    The ship is held near the origin by feedback of the estimate, which is known to the filter.
-    """
+    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING."""
     Phi, Gamma, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
     scale = np.sqrt(np.diag(Q))
     root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
