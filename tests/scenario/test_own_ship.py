@@ -15,7 +15,6 @@ from dpbench.scenario.own_ship import (
     LibraryShip,
     Particulars,
     Thrust,
-    froude_time,
     largest_sea,
     load_share,
     nearest_ship,
@@ -112,12 +111,6 @@ def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
     # Surge: 2.7 · 1026 · 6000^(5/3) / 1e4, and 6000^(5/3) = 1.98116e6.
     by_hand = [5.4881e5, 4.7543e6, 2.3422e9]
     np.testing.assert_allclose(regression_added_mass(own), by_hand, rtol=1e-4)
-
-
-def test_times_are_those_of_the_papers_ship() -> None:
-    """1 for it; twice for a ship four times as long."""
-    assert froude_time(76.2) == 1.0
-    assert froude_time(4 * 76.2) == 2.0
 
 
 @pytest.mark.parametrize("name", LIBRARY)

@@ -48,17 +48,6 @@ def test_a_vessel_that_cannot_exist_is_refused_in_one_line(
     assert "\n" not in str(error)
 
 
-def test_unsymmetric_damping_is_allowed() -> None:
-    """Damping of a moving hull need not be symmetric, only dissipative."""
-    D = np.array([[5e4, 0.0, 0.0], [0.0, 3e5, -2e6], [0.0, -6e5, 4e8]])
-    np.testing.assert_array_equal(vessel(D=D).D, D)
-
-
-def test_largest_step_is_rate_times_sample() -> None:
-    """Δu_max is the rate limit over one sample."""
-    np.testing.assert_allclose(vessel().step_max(0.3), [3e4, 1.2e4, 4.8e5], rtol=1e-15)
-
-
 def test_bis_scaling_follows_from_the_units_of_each_entry() -> None:
     """An entry of M counts m·L^k and one of D m·√(g/L)·L^k, k the number of its yaw indices."""
     m, L, g = 6e6, 76.2, 9.81

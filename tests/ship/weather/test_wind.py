@@ -63,12 +63,6 @@ def test_signs_are_those_a_sailor_expects(hull: Vessel, felt_force: Felt) -> Non
     np.testing.assert_allclose([ahead[1], starboard[0]], 0.0, atol=1.0)
 
 
-def test_a_ship_that_runs_with_the_wind_feels_none(hull: Vessel, felt_force: Felt) -> None:
-    """Only the velocity relative to the air counts."""
-    running = np.array([2.0, 0.0, 0.0])
-    np.testing.assert_allclose(felt_force(hull, blowing(2.0, 0.0), 0.0, running), 0.0, atol=0.5)
-
-
 @pytest.mark.parametrize(("gusts", "density"), [("norsok", norsok_gust), ("harris", harris_gust)])
 def test_gusts_have_the_mean_and_variance_of_their_spectrum(
     gusts: str, density: Callable[..., float]
