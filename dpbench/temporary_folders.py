@@ -58,8 +58,8 @@ def _remove(folder: Path) -> None:
 
 
 _held: list[object] = []
-"""Context that holds the folder of this process. A fork by `multiprocessing` clears the finalizers
-that it inherits; without another reference to the context it would remove its parent's folder."""
+"""Context of the folder of this process: a fork by `multiprocessing` clears the finalizers that it
+inherits, and without another reference would remove its parent's folder."""
 
 
 @cache

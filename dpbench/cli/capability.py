@@ -26,8 +26,7 @@ from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import check_available
 
 SIDES = 24
-"""Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
-within the 1 % that de Wit (2009) recommends."""
+"""Default sides of polygons: they lose 0.9 % of the thrust; de Wit (2009) recommends up to 1 %."""
 FIGURES = (".svg", ".html", ".png", ".pdf")
 _WIDE = 4
 """Cases that fit beside each other."""

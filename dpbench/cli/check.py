@@ -12,17 +12,7 @@ from typing import Any
 
 from dpbench.bench.progress import Progress
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import (
-    KINDS,
-    SEQUENCES,
-    is_stored,
-    parse_model,
-    problem_names,
-    problem_path,
-    read_model,
-    read_toml,
-    sequence_path,
-)
+from dpbench.scenario import problem_files as problems
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 
@@ -38,10 +28,11 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
 
     Raises InputError naming file, key, what was found and what is allowed.
     """
-    if is_stored(asked):
-        return _check_sequence(sequence_path(asked), progress)
+    if problems.is_stored(asked):
+        return _check_sequence(problems.sequence_path(asked), progress)
     # A scenario and a suite may have one name.
-    paths = [problem_path(kind, asked) for kind in KINDS if asked in problem_names(kind)]
+    kinds = [kind for kind in problems.KINDS if asked in problems.problem_names(kind)]
+    paths = [problems.problem_path(kind, asked) for kind in kinds]
     if paths:
         return "\n".join(_check_document(path, progress) for path in paths)
     # Unlike Path.exists, these are False for a name that is too long to exist.
@@ -60,7 +51,8 @@ def check_file(asked: str, progress: Progress | None = None) -> str:
 
 def _unknown(asked: str) -> InputError:
     """Return the error of an unknown name, with the nearest names of all kinds."""
-    names = [name for kind in (*KINDS, SEQUENCES) for name in problem_names(kind)]
+    kinds = (*problems.KINDS, problems.SEQUENCES)
+    names = [name for kind in kinds for name in problems.problem_names(kind)]
     near = difflib.get_close_matches(asked, names, n=3)
     hint = f"e.g. {', '.join(near)}; " if near else ""
     shown = repr(asked if len(asked) <= 80 else f"{asked[:77]}...")
@@ -84,17 +76,17 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
 
 def _check_document(file: Path, progress: Progress | None) -> str:
     """Check a TOML file, recognised by its tables."""
-    document = read_toml(file)
+    document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress)
     if "controller" in document or "environment" in document:
-        parse_model(document, ScenarioFile, str(file))
+        problems.parse_model(document, ScenarioFile, str(file))
         return _check_scenario(file, progress)
     return _check_suite(file, document)
 
 
 def _check_vessel(file: Path, progress: Progress | None) -> str:
-    vessel = read_model(file, VesselFile).vessel(file.stem, str(file))
+    vessel = problems.read_model(file, VesselFile).vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
     return vessel_text(file, vessel, progress)

@@ -14,15 +14,7 @@ from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import rounded_down, rounded_up, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.ship.characteristics import (
-    SWAY,
-    axis_time_constants_s,
-    largest_current_abeam_mps,
-    mean_load,
-    sideways_force,
-    slow_speed,
-    steady_speed,
-)
+from dpbench.ship import characteristics as ships
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
@@ -61,12 +53,14 @@ def ship_lines(vessel: Vessel) -> list[str]:
     force = [f"{_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
     rise = vessel.tau_max / vessel.rate_max
     reach = vessel.reachable_acceleration()[1] * _KILO
-    drift = _with_units(steady_speed(vessel)[1] * _DEGREES, _SPEEDS, slow_speed(vessel) * _DEGREES)
+    drift = _with_units(
+        ships.steady_speed(vessel)[1] * _DEGREES, _SPEEDS, ships.slow_speed(vessel) * _DEGREES
+    )
     rows = [
         ("", "surge", "sway", "yaw"),
         ("largest force", *force),
         ("zero to full in", *(f"{_short(t)} s" for t in rise)),
-        ("time constant", *(f"{_short(t)} s" for t in axis_time_constants_s(vessel))),
+        ("time constant", *(f"{_short(t)} s" for t in ships.axis_time_constants_s(vessel))),
         ("acceleration at full", *_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"), [np.inf] * 3)),
         ("linear drift at full", *drift),
     ]
@@ -93,10 +87,10 @@ def _short(value: float) -> str:
 
 def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
     """Compare the force for 1 m/s sideways with the limits; name the current that can be held."""
-    needs = sideways_force(vessel)[SWAY] / per
-    has = min(-vessel.tau_min[SWAY], vessel.tau_max[SWAY]) / per
-    most = slow_speed(vessel)[SWAY]
-    current = largest_current_abeam_mps(vessel)
+    needs = ships.sideways_force(vessel)[ships.SWAY] / per
+    has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
+    most = ships.slow_speed(vessel)[ships.SWAY]
+    current = ships.largest_current_abeam_mps(vessel)
     largest = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
     needed = f"1 m/s sideways needs {_short(needs)} {unit} of {_short(has)}"
     return f"{needed}; holds {largest} m/s of current abeam"
@@ -105,7 +99,7 @@ def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
 def _weather_line(scenario: Scenario) -> str:
     """Return the mean force of the weather at the reference as a share of the limits."""
     vessel = scenario.vessel
-    load = mean_load(vessel, scenario.environment, float(scenario.reference[2]))
+    load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
     over = " - it cannot hold" if (np.abs(load) > against).any() else ""

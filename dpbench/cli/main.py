@@ -312,10 +312,10 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.own_ship import make_own_ship
+    from dpbench.cli.own_ship import write_own_ship
     from dpbench.cli.terminal import say
 
-    say(make_own_ship(arguments))
+    say(write_own_ship(arguments))
     return 0
 
 

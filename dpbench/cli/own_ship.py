@@ -18,25 +18,8 @@ import numpy as np
 from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, one_of
 from dpbench.report.words import document
+from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
-from dpbench.scenario.own_ship import (
-    CURRENT_SHARE,
-    DP_NUMBERS,
-    FROM_DEG,
-    LIBRARY,
-    SPARE,
-    Particulars,
-    Thrust,
-    froude_time,
-    largest_sea,
-    load_share,
-    nearest_ship,
-    regression_added_mass,
-    rigid_body,
-    scale_vessel,
-    sea_state,
-    thrust_to_weight,
-)
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -101,7 +84,7 @@ TO_WEIGHT = (5e-4, 0.2)
 """Thrust over weight; the paper's ship has 0.028 ahead."""
 
 
-def make_own_ship(options: argparse.Namespace) -> list[str]:
+def write_own_ship(options: argparse.Namespace) -> list[str]:
     """Write the files of a ship; return lines for the screen.
 
     Without any particulars, and with `NAME.toml` there, the ship stays as it is and only scenario
@@ -125,10 +108,10 @@ def make_own_ship(options: argparse.Namespace) -> list[str]:
         vessel, remarks = ship.vessel, cautions(ship)
     else:
         if sea is None:
-            instead = f"give --sea, 1 to {max(DP_NUMBERS)}, or describe the ship anew"
+            instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
-    number = largest_sea(vessel) if sea is None else sea
+    number = scaling.largest_sea(vessel) if sea is None else sea
     texts |= _sea_files(name, vessel, number, chosen=sea is None)
     _write(folder, texts, force=options.force)
     return _summary_lines(folder, texts, vessel, number, remarks)
@@ -145,8 +128,8 @@ def _sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[
 
 
 def _sea(text: str | None) -> int | None:
-    if text is not None and text not in map(str, DP_NUMBERS):
-        allowed = f"1 to {max(DP_NUMBERS)} (DP capability number)"
+    if text is not None and text not in map(str, scaling.DP_NUMBERS):
+        allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
     return None if text is None else int(text)
 
@@ -161,18 +144,18 @@ def _new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> 
         hull = read_mss(Path(hull_file)) if options.from_mss else read_table(Path(hull_file))
     own = _particulars(numbers, hull)
     thrust = _thrust(numbers, own)
-    if options.like is not None and options.like not in LIBRARY:
+    if options.like is not None and options.like not in scaling.LIBRARY:
         raise InputError(
-            WHERE, "--like", repr(options.like)[:80], one_of(options.like, list(LIBRARY))
+            WHERE, "--like", repr(options.like)[:80], one_of(options.like, list(scaling.LIBRARY))
         )
-    like = options.like or nearest_ship(own)
-    vessel = scale_vessel(like, own, thrust, options.name)
+    like = options.like or scaling.nearest_ship(own)
+    vessel = scaling.scale_vessel(like, own, thrust, options.name)
     if hull is not None:
         vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)
     return OwnShip(options.name, own, vessel, like, hull)
 
 
-def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particulars:
+def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
     """Read the particulars from the options, then the file; InputError if neither has one."""
     values = {}
     for option in PARTICULARS:
@@ -184,7 +167,7 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particu
             raise InputError(WHERE, f"--{option}", "nothing", quantity.allowed)
         values[option] = value
     length, breadth, draught, displacement = (values[option] for option in PARTICULARS)
-    own = Particulars(length, breadth, draught, 1000.0 * displacement)
+    own = scaling.Particulars(length, breadth, draught, 1000.0 * displacement)
     if not BLOCK[0] <= own.block_coefficient <= BLOCK[1]:
         found = (
             f"{displacement:g} t in a block of {length:g} x {breadth:g} x {draught:g} m, a block "
@@ -194,13 +177,13 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particu
     return own
 
 
-def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
+def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.Thrust:
     """Read the forces in N and N·m; InputError for one that no such ship has."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
             continue
-        share = thrust_to_weight(own, 1000.0 * value / lever_m)
+        share = scaling.thrust_to_weight(own, 1000.0 * value / lever_m)
         if not TO_WEIGHT[0] <= share <= TO_WEIGHT[1]:
             weight = value / share
             unit = QUANTITIES[option].unit
@@ -213,7 +196,7 @@ def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
         None if force is None else 1000.0 * force
         for force in (numbers["sway-thrust"], numbers["yaw-moment"])
     )
-    return Thrust(1000.0 * ahead, sway, yaw)
+    return scaling.Thrust(1000.0 * ahead, sway, yaw)
 
 
 def _command(options: argparse.Namespace) -> str:
@@ -242,7 +225,7 @@ def _summary_lines(
 ) -> list[str]:
     """List the files written, the load of the sea on the ship, and the next commands."""
     paths = [str(folder / name) for name in texts]
-    share = load_share(vessel, number)
+    share = scaling.load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of the limits")
@@ -256,7 +239,7 @@ class OwnShip:
     """A new ship, scaled from the library vessel `like`; inertia and damping of `hull`, if any."""
 
     name: str
-    own: Particulars
+    own: scaling.Particulars
     vessel: Vessel
     like: str
     hull: Hull | None
@@ -266,7 +249,8 @@ def vessel_text(ship: OwnShip, command: str) -> str:
     """Return the vessel file; `command` wrote it."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
-    added = (np.diag(vessel.M) - rigid_body(ship.own)) / regression_added_mass(ship.own)
+    added = np.diag(vessel.M) - scaling.rigid_body(ship.own)
+    added = added / scaling.regression_added_mass(ship.own)
     return document(
         "own_vessel.toml",
         **vars(ship),
@@ -290,7 +274,7 @@ def _comment(caller: Callable[[], str]) -> str:
 
 def _forms(ship: OwnShip) -> list[tuple[str, float, float]]:
     """Return ratios that two ships of one form share: name, of this ship, of the library's."""
-    own, library = ship.own, LIBRARY[ship.like]
+    own, library = ship.own, scaling.LIBRARY[ship.like]
     volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
     slender = own.length_m / math.cbrt(volumes_m3[0]), library.length_m / math.cbrt(volumes_m3[1])
     broad = own.length_m / own.breadth_m, library.length_m / library.breadth_m
@@ -312,31 +296,31 @@ def cautions(ship: OwnShip) -> list[str]:
 
 def sample_s(vessel: Vessel) -> float:
     """Scale the paper's 0.3 s to this size, in steps of 0.05 s [s]."""
-    slower = froude_time(vessel.length_m)
+    slower = scaling.froude_time(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
 def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
     """Return the scenario file; `chosen`: the program chose the sea."""
-    longer = froude_time(vessel.length_m) ** 2
-    wind_mps, hs_m, _, current_mps = DP_NUMBERS[number]
+    longer = scaling.froude_time(vessel.length_m) ** 2
+    wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
     return document(
         "own_scenario.toml",
         comment=_comment,
         name=name,
         number=number,
-        most=max(DP_NUMBERS),
-        why=_why_this_sea(load_share(vessel, number), chosen=chosen),
-        share=load_share(vessel, number),
+        most=max(scaling.DP_NUMBERS),
+        why=_why_this_sea(scaling.load_share(vessel, number), chosen=chosen),
+        share=scaling.load_share(vessel, number),
         wind_mps=wind_mps,
         hs_m=hs_m,
         current_mps=current_mps,
-        current_share=CURRENT_SHARE,
-        from_deg=FROM_DEG,
+        current_share=scaling.CURRENT_SHARE,
+        from_deg=scaling.FROM_DEG,
         step_s=sample_s(vessel),
         steps=STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
-        sea=sea_state(number),
+        sea=scaling.sea_state(number),
         # A lever that grows with the ship.
         yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
     )
@@ -345,8 +329,9 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
 def _why_this_sea(share: float, *, chosen: bool) -> str:
     if not chosen:
         return "as asked for"
-    limit = f"whose mean force takes at most {SPARE:.0%} of the limits"
-    return f"the largest {limit}" if share <= SPARE else f"the smallest, as there is none {limit}"
+    limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
+    held = share <= scaling.SPARE
+    return f"the largest {limit}" if held else f"the smallest, as there is none {limit}"
 
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:

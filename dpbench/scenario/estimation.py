@@ -46,7 +46,7 @@ class EstimatorChoice:
         return PassiveObserver(ship, passive, sample_s)
 
 
-def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
+def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
     """Return the estimator of a file; InputError for a filter without the period of waves."""
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
     sensor = SENSOR_STD * scale.pose

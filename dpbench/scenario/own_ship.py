@@ -62,12 +62,10 @@ LIBRARY = {
 
 PAPER_SHIP = "supply_fs99"
 NOT_CHOSEN = ("osv",)
-"""Used on request only: MSS `osv.m` makes its damping from chosen time constants (100 s, 100 s,
-1 s)."""
+"""Used on request only: MSS `osv.m` makes its damping from chosen time constants."""
 
 DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
-"""Wind [m/s], Hs [m], Tp [s], current [m/s] of the DP capability numbers up to a strong gale, the
-most that a scenario of one's own ship is made for."""
+"""Wind [m/s], Hs [m], Tp [s], current [m/s] of DP capability numbers up to a strong gale."""
 
 FROM_DEG = 30.0
 """Wind and waves come from the bow, not quite ahead: a heading a ship may choose."""

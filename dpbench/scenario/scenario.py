@@ -20,7 +20,7 @@ from dpbench.scenario.controllers.controller import Controller
 from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.controllers.thrusters import CascadeController, ThrusterController
-from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
+from dpbench.scenario.estimation import EstimatorChoice, choose_estimator
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -206,7 +206,7 @@ def scenario_of(
         true_ship=true_ship,
         actuators=_actuators(spec, controller, sample_s, scale),
         environment=environment,
-        estimation=estimator_choice(spec, scale, where),
+        estimation=choose_estimator(spec, scale, where),
         steps=spec.steps,
         sample_s=sample_s,
         start=spec.start.pose() * scale.pose,

@@ -117,7 +117,7 @@ class Environment:
     seed: int = 0
 
     @property
-    def moves_with_the_ship(self) -> bool:
+    def depends_on_ship(self) -> bool:
         """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
@@ -159,7 +159,7 @@ class Environment:
         start, offset = _stages(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
         b = np.ascontiguousarray(self.force(t))
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return b
         drawn = self.drawn(steps, sample_s, substeps) if drawn is None else drawn
         table = np.zeros((*t.shape, LOADED))
@@ -179,7 +179,7 @@ class Environment:
 
         Raises InputError where the weather has wind or drift and the vessel no hull data for it.
         """
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return None
         coefficients = np.zeros(COEFFICIENTS)
         if self.wind is not None:

@@ -81,13 +81,13 @@ class Vessel:
         return replace(self, M=mass * self.M, D=damping * self.D)
 
 
-def bis_descaled(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:
+def descale_bis(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:
     """Return the inertia of the Bis system, M = m N Mb N, N = diag(1, 1, L) (Fossen 2021, 7.2)."""
     N = np.diag([1.0, 1.0, length_m])
     descaled: Matrix = m_kg * N @ np.asarray(Mb, dtype=np.float64) @ N
     return descaled
 
 
-def bis_descaled_damping(Db: Matrix, m_kg: float, length_m: float, g_mps2: float = 9.81) -> Matrix:
+def descale_bis_damping(Db: Matrix, m_kg: float, length_m: float, g_mps2: float = 9.81) -> Matrix:
     """Return the damping of the Bis system, D = m √(g/L) N Db N: its unit time is √(L/g)."""
-    return float(np.sqrt(g_mps2 / length_m)) * bis_descaled(Db, m_kg, length_m)
+    return float(np.sqrt(g_mps2 / length_m)) * descale_bis(Db, m_kg, length_m)

@@ -19,7 +19,8 @@ from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
 from dpbench.report.table import Table
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
-SHIP = ["--length", "80", "--breadth", "18", "--draught", "6", "--displacement", "6000", "--thrust", "300"]
+NUMBERS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}
+SHIP = [word for key, number in NUMBERS.items() for word in (f"--{key}", str(number))]
 EXPORT = ["export", "rough", "--steps", "2", "--out", "rough.npz"]
 KINDS = ("vessels", "scenarios", "suites", "sequences", "solvers")
 

@@ -24,7 +24,7 @@ def hull() -> Vessel:
 
 
 @pytest.fixture
-def felt_force() -> Callable[..., np.ndarray]:
+def weather_force() -> Callable[..., np.ndarray]:
     """The force of the weather at time zero on a ship at a heading and velocity."""
 
     def force(

@@ -169,7 +169,7 @@ def test_weather_that_ignores_the_ship_keeps_three_columns() -> None:
     """Squalls, motion and noise add no column and no load, so the plain plant serves them."""
     weather = replace(sea(), squalls=(SQUALL,), motion=SOURCES["motion"], noise=SOURCES["noise"])  # type: ignore[arg-type] # one type per key
     assert weather.stage_table(4, 0.3, 10).shape == (4, 21, 3)
-    assert not weather.moves_with_the_ship
+    assert not weather.depends_on_ship
 
 
 @pytest.mark.parametrize(("source", "key"), [("wind", "windage"), ("drift", "reflection")])

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
+from dpbench.ship.vessel import Vessel, descale_bis, descale_bis_damping
 
 GOOD = {
     "M": np.diag([5e6, 8e6, 4e9]),
@@ -53,7 +53,7 @@ def test_bis_scaling_follows_from_the_units_of_each_entry() -> None:
     m, L, g = 6e6, 76.2, 9.81
     rng = np.random.default_rng(1)
     Mb, Db = rng.normal(size=(2, 3, 3))
-    M, D = bis_descaled(Mb, m, L), bis_descaled_damping(Db, m, L, g)
+    M, D = descale_bis(Mb, m, L), descale_bis_damping(Db, m, L, g)
     for i in range(3):
         for j in range(3):
             lever = L ** ((i == 2) + (j == 2))

@@ -313,24 +313,13 @@ class KalmanFilter(ModelObserver):
     def __init__(self, ship: Vessel, tuning: KalmanTuning, sample_s: float) -> None:
         self.model: KalmanModel = kalman_model(ship, tuning, sample_s)
         super().__init__(ship, sample_s, len(self.model.Phi))
-        self._Phi, self._Gamma, self._K = self.model.Phi, self.model.Gamma, self.model.K
+        self._matrices = self.model.Phi, self.model.Gamma, self.model.K, self._J
         self.innovation: Vector = np.zeros(AXES)
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         """Predict with τ, correct by the measured pose; return the estimate (6,)."""
-        _filter_step(
-            self._x,
-            measured,
-            tau,
-            self._Phi,
-            self._Gamma,
-            self._K,
-            self._J,
-            self._advance,
-            self.innovation,
-            self._estimate,
-            self.change,
-        )
+        out = self.innovation, self._estimate, self.change
+        _filter_step(self._x, measured, tau, *self._matrices, self._advance, *out)
         self._advance = True
         return self._estimate

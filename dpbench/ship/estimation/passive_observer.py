@@ -177,11 +177,12 @@ class PassiveObserver(ModelObserver):
         super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
         omega0 = waves.omega0_radps
-        self._rows: Matrix = np.array(
+        rows: Matrix = np.array(
             [*tuning.gains, omega0**2, 2 * waves.damping * omega0, 1 / tuning.bias_time_s]
         )
-        self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(ship.M))
-        self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(ship.M, ship.D))
+        Minv, MinvD = np.linalg.inv(ship.M), np.linalg.solve(ship.M, ship.D)
+        inertia = np.ascontiguousarray(Minv), np.ascontiguousarray(MinvD)
+        self._matrices = *inertia, rows, self._J
         self._h, self._substeps = sample_s / substeps, substeps
         self._pose = np.zeros(AXES)
 
@@ -192,19 +193,8 @@ class PassiveObserver(ModelObserver):
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         """Advance by a sample with τ and the measured pose; return the estimate (6,)."""
-        _observer_step(
-            self._x,
-            self._pose,
-            measured,
-            tau,
-            self._Minv,
-            self._MinvD,
-            self._rows,
-            self._J,
-            self._h,
-            self._substeps if self._advance else 0,
-            self._estimate,
-            self.change,
-        )
+        substeps = self._substeps if self._advance else 0
+        inputs, out = (self._pose, measured, tau), (self._estimate, self.change)
+        _observer_step(self._x, *inputs, *self._matrices, self._h, substeps, *out)
         self._advance = True
         return self._estimate

@@ -77,7 +77,7 @@ def test_short_waves_are_reflected_whole_and_long_ones_pass() -> None:
 
 @pytest.mark.parametrize("heading_deg", range(-170, 180, 35))
 def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
-    heading_deg: float, hull: Vessel, felt_force: Felt
+    heading_deg: float, hull: Vessel, weather_force: Felt
 ) -> None:
     """X ∝ cos, Y ∝ sin and N ∝ −sin of twice the waves' direction in body axes."""
     psi = math.radians(heading_deg)
@@ -88,7 +88,7 @@ def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
     expected = power * np.array(
         [b_x * math.cos(beta), b_y * math.sin(beta), -b_n * math.sin(2 * beta)]
     )
-    found = felt_force(hull, weather, psi)
+    found = weather_force(hull, weather, psi)
     lever = np.array([1.0, 1.0, hull.length_m])
     np.testing.assert_allclose(found / lever, expected / lever, rtol=2e-5, atol=1.0)
 

@@ -31,7 +31,7 @@ def test_a_wind_from_one_side_goes_to_the_other(come: float, go: float) -> None:
 
 @pytest.mark.parametrize("heading_deg", range(-180, 180, 25))
 def test_wind_on_a_turned_moving_ship_is_the_force_of_fossen(
-    heading_deg: float, hull: Vessel, felt_force: Felt
+    heading_deg: float, hull: Vessel, weather_force: Felt
 ) -> None:
     """X, Y, N are ½ρV²(−c_x cos γ A_F, c_y sin γ A_L, c_n sin 2γ A_L L) of the relative wind."""
     psi, nu = math.radians(heading_deg), np.array([1.5, -0.8, 0.0])
@@ -46,15 +46,15 @@ def test_wind_on_a_turned_moving_ship_is_the_force_of_fossen(
             0.095 * math.sin(2 * gamma) * 700.0 * 76.2,
         ]
     )
-    found = felt_force(hull, blowing(speed, to_rad), psi, nu)
+    found = weather_force(hull, blowing(speed, to_rad), psi, nu)
     lever = np.array([1.0, 1.0, hull.length_m])
     np.testing.assert_allclose(found / lever, expected / lever, rtol=2e-5, atol=1.0)
 
 
-def test_signs_are_those_a_sailor_expects(hull: Vessel, felt_force: Felt) -> None:
+def test_signs_are_those_a_sailor_expects(hull: Vessel, weather_force: Felt) -> None:
     """Wind from ahead pushes back, from starboard to port, and on the bow it turns the bow away."""
     ahead, starboard, bow = (
-        felt_force(hull, blowing(15.0, towards_rad(come_deg))) for come_deg in (0, 90, 45)
+        weather_force(hull, blowing(15.0, towards_rad(come_deg))) for come_deg in (0, 90, 45)
     )
     assert ahead[0] < -1e4
     assert starboard[1] < -5e4
