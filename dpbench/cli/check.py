@@ -20,42 +20,42 @@ CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
     "a .npz or a folder of problems by qpsolvers, a folder of results/community"
 )
-"""What `dpbench check` takes."""
+"""Arguments of `dpbench check`, for errors."""
 
 
-def check_file(asked: str, progress: Progress | None = None) -> str:
+def check_file(name: str, progress: Progress | None = None) -> str:
     """Check a file by name or path, as `CHECKED` lists them, certify its optima, and describe it.
 
     Raises InputError naming file, key, what was found and what is allowed.
     """
-    if problems.is_stored(asked):
-        return _check_sequence(problems.sequence_path(asked), progress)
+    if problems.is_stored(name):
+        return _check_sequence(problems.sequence_path(name), progress)
     # A scenario and a suite may have one name.
-    kinds = [kind for kind in problems.KINDS if asked in problems.problem_names(kind)]
-    paths = [problems.problem_path(kind, asked) for kind in kinds]
+    kinds = [kind for kind in problems.KINDS if name in problems.problem_names(kind)]
+    paths = [problems.problem_path(kind, name) for kind in kinds]
     if paths:
         return "\n".join(_check_document(path, progress) for path in paths)
     # Unlike Path.exists, these are False for a name that is too long to exist.
-    if os.path.isdir(asked):
-        return _check_folder(Path(asked), progress)
-    if asked.endswith(".npz"):
-        return _check_sequence(Path(asked), progress)
-    if os.path.isfile(asked):
-        return _check_document(Path(asked), progress)
-    if "@" in asked:
-        return _check_scenario(asked, progress)
-    if asked.endswith(".toml") or "/" in asked:
-        raise InputError(asked, "", "no such file or folder", CHECKED)
-    raise _unknown(asked)
+    if os.path.isdir(name):
+        return _check_folder(Path(name), progress)
+    if name.endswith(".npz"):
+        return _check_sequence(Path(name), progress)
+    if os.path.isfile(name):
+        return _check_document(Path(name), progress)
+    if "@" in name:
+        return _check_scenario(name, progress)
+    if name.endswith(".toml") or "/" in name:
+        raise InputError(name, "", "no such file or folder", CHECKED)
+    raise _unknown(name)
 
 
-def _unknown(asked: str) -> InputError:
+def _unknown(name: str) -> InputError:
     """Return the error of an unknown name, with the nearest names of all kinds."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
-    names = [name for kind in kinds for name in problems.problem_names(kind)]
-    near = difflib.get_close_matches(asked, names, n=3)
+    names = [known for kind in kinds for known in problems.problem_names(kind)]
+    near = difflib.get_close_matches(name, names, n=3)
     hint = f"e.g. {', '.join(near)}; " if near else ""
-    shown = repr(asked if len(asked) <= 80 else f"{asked[:77]}...")
+    shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
     return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
 
 

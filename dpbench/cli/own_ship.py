@@ -27,12 +27,12 @@ from dpbench.ship.weather.waves import WATER_DENSITY
 WHERE = "init"
 COMMENT_WIDTH = 96
 STEPS = 1000
-"""Of the scenario: what a p99 needs."""
+"""Steps of the scenario, as many as a p99 needs."""
 SAMPLE_S = 0.3
 START_M = (1.2, 1.3)
 """North and east; sample and start are the paper's."""
 YAW_WEIGHT = 3000.0
-"""Of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
+"""Heading weight of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
 FORM_DIFFERS = 0.2
 """Relative difference of a ratio from the library vessel's that counts as another form."""
 SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_active_set")
@@ -330,8 +330,9 @@ def _why_this_sea(share: float, *, chosen: bool) -> str:
     if not chosen:
         return "as asked for"
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
-    held = share <= scaling.SPARE
-    return f"the largest {limit}" if held else f"the smallest, as there is none {limit}"
+    if share <= scaling.SPARE:
+        return f"the largest {limit}"
+    return f"the smallest, as there is none {limit}"
 
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:

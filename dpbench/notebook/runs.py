@@ -69,7 +69,7 @@ class Run:
 
     @property
     def remembers(self) -> bool:
-        """Whether the times of a replay are those of cached answers, not of solving."""
+        """True where the times of a replay are those of cached answers, not of solving."""
         row = self.summary
         excess = float(row["first_visit_excess"])
         return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)

@@ -120,7 +120,7 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
 
 def is_stored(name: str | Path) -> bool:
-    """Whether a sequence of this name ships with the package."""
+    """Return whether a sequence of this name ships with the package."""
     return str(name) in problem_names(SEQUENCES)
 
 

@@ -91,7 +91,7 @@ def _find_index(table: Any, part: str, where: str) -> Any:
 
 
 def differ(one: Scenario, other: Scenario, steps: int) -> bool:
-    """Whether two runs of so many steps can differ: in weather, ship, controller or reference."""
+    """Return whether two runs can differ, in weather, ship, controller or reference."""
     return _behaviour(one, steps) != _behaviour(other, steps)
 
 

@@ -1,4 +1,4 @@
-"""The weather of a run: everything that pushes the ship or disturbs its measurement.
+"""The weather of a run, and the noise of its measurement.
 
     b(t) = g(t) · (mean + amplitude · sin(2πt/T + phase)) + squalls,   g(t) = min(t / ramp, 1)
 
@@ -118,12 +118,12 @@ class Environment:
 
     @property
     def depends_on_ship(self) -> bool:
-        """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
+        """True where a load depends on the ship's velocity or heading: wind, current or drift."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
     def draws(self) -> bool:
-        """Whether anything of it is drawn at random, so that the seed matters."""
+        """True where any of it is random, so that the seed matters."""
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 

@@ -128,13 +128,6 @@ def test_the_mean_drift_is_what_an_anchored_ship_feels() -> None:
     np.testing.assert_allclose(mean_load(ship, weather), felt, rtol=0.2)
 
 
-def test_weather_that_only_pushes_needs_no_hull() -> None:
-    """A ship without windage has a mean load in slow forces alone."""
-    bare = replace(load_vessel("supply_fs99"), windage=None, reflection=None)
-    mean = np.array([1e4, 2e4, 3e5])
-    np.testing.assert_allclose(mean_load(bare, replace(CALM, mean=mean)), mean)
-
-
 def test_slow_is_the_same_froude_number_at_any_size() -> None:
     """A ship four times as long is slow up to twice the speed, and turns half as fast then."""
     ship = load_vessel("supply_fs99")

@@ -16,7 +16,6 @@ from dpbench.ship.weather.waves import FirstOrderMotion, Sea
 
 FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 SAMPLE_S = 0.3
-MODEL_SAMPLE_S = 0.3 / np.sqrt(70.0)
 
 CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
 
@@ -197,21 +196,6 @@ def test_the_heading_is_never_wrapped() -> None:
     )
     assert states[-1, 5] > np.pi
     assert np.abs(np.diff(states[:, 5])).max() < 0.05
-
-
-def test_the_model_ship_is_the_full_ship_in_froude_scale() -> None:
-    """Limits of the 1:70 model are those of the paper with lengths /70 and times /√70."""
-    model = load_vessel("cybership2")
-    force, moment = 70.0**3, 70.0**4
-    # The published scaled numbers carry 4-5 digits.
-    np.testing.assert_allclose(
-        model.tau_max * [force, force, moment], [1240e3, 417e3, 18e6], rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        model.step_max(MODEL_SAMPLE_S) * [force, force, moment],
-        [32736.0, 11008.0, 475200.0],
-        rtol=1e-12,
-    )
 
 
 ZEROS = (np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))

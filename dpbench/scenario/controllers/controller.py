@@ -48,7 +48,7 @@ class Controller(ABC):
     metric_groups: ClassVar[tuple[MetricGroup, ...]]
     """The metrics that apply besides those of every run."""
     allocates: ClassVar[bool] = False
-    """Whether the planned force is a demand, which is then allocated to thrusters."""
+    """True where the planned force is then allocated to thrusters."""
     commands: ClassVar[str] = ""
     """Suffix of the description: ", thrusters"; "" for forces."""
     why_no_delay: ClassVar[str] = ""

@@ -31,7 +31,7 @@ from dpbench.ship.vessel import Vessel
 
 @dataclass(frozen=True)
 class Linearisation:
-    """How a problem, whose model is linearised at one heading, becomes condensed QPs.
+    """The step from a problem, with its model at one heading, to condensed QPs.
 
     condense : makes the builder of a problem, with the arguments of `CondensedQP`.
     """
@@ -89,7 +89,7 @@ class ControllerSpec:
 
     @property
     def planning(self) -> Planning:
-        """How the controller plans."""
+        """Arguments of `Controller`."""
         table, psi0_rad = self.table, self._psi0_rad
         each_step = table.linearisation == "each_step"
         return {

@@ -1,7 +1,4 @@
-"""Keys, units and bounds of scenario files, but for the weather, as a person writes them.
-
-Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
-"""
+"""Keys, units (kN, kN·m, degrees) and bounds of scenario files but for the weather."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class EstimatorTable(FileModel):
-    """What stands between the sensors and the controller.
+    """The estimator between the sensors and the controller.
 
     `measured`: nothing. The filters take period and size of the wave motion from the weather where
     the file does not give them.
@@ -30,20 +27,20 @@ class EstimatorTable(FileModel):
     kind: Literal["measured", "kalman", "passive"] = "measured"
     """measured: the controller gets the measurement itself; kalman, passive: a filtered one."""
     wave_filter: bool = True
-    """Whether the filter tells the motion of the waves from that of the ship."""
+    """true: the filter separates the motion of the waves from that of the ship."""
     peak_period_s: keys.Positive | None = None
     """Peak period the filter reckons with [s]; by default that of the waves of the weather."""
 
 
 class PlantTable(FileModel):
-    """How the true ship differs from the controller's model of it."""
+    """Differences of the true ship from the controller's model of it."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s"})
 
     mass_percent: keys.Percent = 0.0
-    """How much larger M of the true ship is [%]."""
+    """Excess of M of the true ship [%]."""
     damping_percent: keys.Percent = 0.0
-    """How much larger D of the true ship is [%]."""
+    """Excess of D of the true ship [%]."""
     thrust_loss_percent: keys.ThreeLosses = [0.0, 0.0, 0.0]
     """Share of the commanded surge, sway, yaw that never arrives [%]."""
     delay_samples: keys.Count = 0
@@ -53,10 +50,7 @@ class PlantTable(FileModel):
 
 
 class FaultTable(FileModel):
-    """A share of the limits of the force, or lost thrusters, from `at_s` on; the controller knows.
-
-    The controller has its new limits from that sample on.
-    """
+    """A smaller share of the limits of the force, or lost thrusters, known to the controller."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
 
@@ -100,7 +94,7 @@ class ThrusterControlTable(FileModel):
     thrust_weight_relative: keys.NotNegative
     """W in multiples of 1/T², T the largest thrust of each thruster."""
     azimuth_turning: bool = False
-    """Whether moves keep to the turning rate of azimuths too; A then changes at every step."""
+    """true: moves keep to the turning rate of azimuths too; A then changes at every step."""
     move_weight_relative: keys.Positive
     """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
     slack_weight_relative: keys.Positive | None = None
@@ -242,7 +236,7 @@ class ReferenceTable(PoseTable):
     filter: FilterTable | None = None
     """Filters the set-point; none by default."""
     preview: bool = False
-    """Whether the controller sees the reference of the coming samples."""
+    """true: the controller sees the reference of the coming samples."""
 
     def smoothed(self, scale: Froude) -> ReferenceFilter | None:
         """Return the filter in SI; None for none."""
@@ -260,7 +254,7 @@ class ScenarioFile(FileModel):
     title: str
     """The scenario in words."""
     shows: str
-    """What a reader learns from it."""
+    """Purpose of the scenario."""
     vessel: str
     """A vessel by name, or a TOML file, looked for beside this one first."""
     sample_s: keys.Seconds
@@ -278,9 +272,9 @@ class ScenarioFile(FileModel):
     estimator: EstimatorTable = EstimatorTable()
     """Between sensors and controller; nothing by default."""
     plant: PlantTable = PlantTable()
-    """How the true ship differs from the model; not at all by default."""
+    """Differences of the true ship from the model; none by default."""
     faults: list[FaultTable] = []
-    """What is lost when; nothing by default."""
+    """Losses of thrust on the way; none by default."""
 
     @property
     def steps(self) -> int:

@@ -1,7 +1,4 @@
-"""Keys, units and bounds of vessel files, as a person writes them.
-
-Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
-"""
+"""Keys, units (kN, kN·m, degrees) and bounds of vessel files, converted to SI."""
 
 from __future__ import annotations
 
@@ -94,7 +91,7 @@ class ThrusterTable(FileModel):
     turning_degps: keys.Positive | None = None
     """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
     group: str = ""
-    """What fails together with it, as behind one switchboard; by default it fails alone."""
+    """Failure group, as of one switchboard; by default it fails alone."""
 
     @model_validator(mode="after")
     def _one_thrust(self) -> ThrusterTable:

@@ -29,11 +29,11 @@ class SquallTable(FileModel):
     start_s: keys.NotNegative
     """When it begins to rise [s]."""
     rise_s: keys.Positive
-    """How long it rises [s]."""
+    """Time of rising [s]."""
     hold_until_s: keys.NotNegative
     """Until when it holds [s]; not before it has risen."""
     decay_s: keys.Positive
-    """How long it decays [s]."""
+    """Time of decay [s]."""
     force_kN: keys.Three
     """Full force, north, east [kN], yaw [kN·m]."""
 
@@ -107,7 +107,7 @@ class WavesTable(FileModel):
     gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
     """Peakedness of the JONSWAP spectrum; 1 is Pierson-Moskowitz."""
     drift: bool = True
-    """Whether the slow drift force acts on the ship."""
+    """true: the slow drift force acts on the ship."""
     motion: MotionTable | None = None
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 

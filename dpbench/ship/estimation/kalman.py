@@ -42,7 +42,7 @@ True
 
 Three positions that walk at random, x⁺ = x + w and y = x + v with unit variances, each on its own:
 p = p − p²/(p + 1) + 1, that is p² = p + 1, so p = (1 + √5)/2 = 1.618, s = p + 1 = 2.618 and
-k = p/s = 1/p = 0.618. Of what a measurement says anew the filter believes that share.
+k = p/s = 1/p = 0.618, the share of the innovation that enters the estimate.
 
 >>> one = np.eye(3)
 >>> P, S, K = _steady_state(one, one, one, "random walk")

@@ -116,14 +116,6 @@ def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
     np.testing.assert_allclose(turned[:, 3:], north[:, 3:] @ R.T, atol=1e-13)
 
 
-def test_rates_of_the_motion_are_its_derivative() -> None:
-    """Columns 4 to 6 are the time derivative of columns 1 to 3."""
-    motion, h = FirstOrderMotion(SEA, 0.6, 0.2, 0.01), 1e-4
-    t = np.linspace(0.0, 60.0, 13)
-    slope = (motion.table(t + h, 5)[:, :3] - motion.table(t - h, 5)[:, :3]) / (2 * h)
-    np.testing.assert_allclose(motion.table(t, 5)[:, 3:], slope, atol=1e-6)
-
-
 @pytest.mark.slow
 def test_the_motion_along_the_waves_is_the_waters_own() -> None:
     """On a crest the water moves with the waves at its fastest and its displacement is zero."""
