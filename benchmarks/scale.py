@@ -38,7 +38,7 @@ from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.step_table import STEPS_SCHEMA
-from dpbench.bench.workers.executor import BATCH_CELLS
+from dpbench.bench.workers.jobs import BATCH_CELLS
 from dpbench.solvers.table import available
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
@@ -113,6 +113,7 @@ def stored(out: Path) -> tuple[int, int]:
 
 def cell_costs(out: Path, whole: int, seas: int = 4) -> Iterator[tuple[str, ...]]:
     """A row for each length and horizon: a cell, and a sea, which all its cells share."""
+    # One configuration and five in the same seas differ by cells alone.
     start = _twice(out / "start", seas, 1, 10)[0]
     for steps, moves in ((whole // 10, 10), *((whole, moves) for moves in (10, 5, 20, 40))):
         name = f"{steps}-{moves}"
@@ -186,7 +187,10 @@ def big_report(out: Path, cells: int, steps: int) -> Iterator[tuple[str, ...]]:
 
 
 def made_folder(out: Path, cells: int, steps: int) -> Path:
-    """Fill a result folder with finished cells; the suite that takes them for its own."""
+    """Fill a result folder with finished cells; the suite that takes them for its own.
+
+    A sea multiplies the numbers of real cells by one factor, so that steps pack as real ones do.
+    """
 
     def suite_in(folder: Path, seas: int) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
