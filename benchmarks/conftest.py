@@ -46,10 +46,7 @@ def no_garbage_collection() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
-    """The reference kernel before and after each benchmark: what `make bench-compare` divides by.
-
-    Its first call compiles or loads it, so that one is not counted.
-    """
+    """The reference kernel before and after each benchmark."""
     reference_kernel_ns(time.perf_counter_ns)
     before = reference_kernel_ns(time.perf_counter_ns)
     yield
@@ -63,11 +60,7 @@ Exactly = Callable[..., None]
 
 @pytest.fixture
 def exactly(benchmark: BenchmarkFixture) -> Exactly:
-    """Notes what does not depend on the clock: Python memory of a call, and what it is given.
-
-    `peak_bytes` is the most that the call holds at a time beyond what it found, the smallest of
-    a few calls after one that filled the caches. What a library allocates itself is not in it.
-    """
+    """Notes what does not depend on the clock: Python memory of a call, and what it is given."""
 
     def note(call: Callable[[], object], **measures: int) -> None:
         call()

@@ -53,8 +53,7 @@ Draw = Callable[[Random], tuple[float, Interval]]
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table: what was drawn, how often, in how many draws an interval was stated,
-    and the share of these that hold the truth, or of claims."""
+    """One row of the table: how many intervals were stated, and the share that hold the truth."""
 
     interval: str
     truth: str
@@ -223,12 +222,7 @@ SEQUENCE = "paper"
 
 
 class SimulatedRecords:
-    """The step times of one run, in the form in which `time_pairs` reads them.
-
-    Parameters
-    ----------
-    slow : factor of each configuration; disturbed : whether neighbours slow some of the rounds.
-    """
+    """The step times of one run, in the form in which `time_pairs` reads them."""
 
     has_steps = True
 
@@ -270,8 +264,7 @@ def _simulated_run(number: int, kernel_ns: float) -> Any:
 
 
 def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool, bool, bool]:
-    """Of one table: whether all intervals hold their truth, whether another configuration than the
-    slowed one is claimed to differ, and whether that one is called slower."""
+    """Whether all intervals of a table hold their truth, and its false and true claims."""
     truth = np.ones(CONFIGURATIONS)
     truth[0] += planted
     one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)

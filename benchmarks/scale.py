@@ -38,7 +38,7 @@ from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.step_table import STEPS_SCHEMA
-from dpbench.bench.workers.executor import BATCH_CELLS
+from dpbench.bench.workers.jobs import BATCH_CELLS
 from dpbench.solvers.table import available
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
@@ -112,11 +112,8 @@ def stored(out: Path) -> tuple[int, int]:
 
 
 def cell_costs(out: Path, whole: int, seas: int = 4) -> Iterator[tuple[str, ...]]:
-    """A row for each length and horizon: a cell, and a sea, which all its cells share.
-
-    Of the same seas one configuration and five differ by cells alone; an empty campaign, of a
-    single step, is what starting costs.
-    """
+    """A row for each length and horizon: a cell, and a sea, which all its cells share."""
+    # One configuration and five in the same seas differ by cells alone.
     start = _twice(out / "start", seas, 1, 10)[0]
     for steps, moves in ((whole // 10, 10), *((whole, moves) for moves in (10, 5, 20, 40))):
         name = f"{steps}-{moves}"
@@ -192,11 +189,7 @@ def big_report(out: Path, cells: int, steps: int) -> Iterator[tuple[str, ...]]:
 def made_folder(out: Path, cells: int, steps: int) -> Path:
     """Fill a result folder with finished cells; the suite that takes them for its own.
 
-    Each has the row and the steps of a real one, of its settings at its point, changed as another
-    sea changes them: all numbers of a sea by one factor. What runs of one sea have in common, most
-    of what DAQP computes at whatever tolerance, stays in common, and nothing is in common with
-    another sea; so the steps pack as those of real loops do. The cells are in batches of one
-    configuration each, as those of a campaign.
+    A sea multiplies the numbers of real cells by one factor, so that steps pack as real ones do.
     """
 
     def suite_in(folder: Path, seas: int) -> Path:
@@ -246,8 +239,7 @@ def _changed_row(row: dict[str, Any], factor: float) -> dict[str, Any]:
 
 
 def _changed(batch: pa.RecordBatch, factor: float, rng: np.random.Generator) -> pa.RecordBatch:
-    """The same steps with other numbers that pack neither better nor worse: times, which no two
-    runs have in common, scatter by a tenth, all else is multiplied by the factor of the sea."""
+    """The same steps with other numbers that pack neither better nor worse."""
     columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if not (pa.types.is_floating(field.type) or field.name.endswith("_ns")):

@@ -75,10 +75,7 @@ def own(solver: str, sequence: QPSequence) -> Callable[[], int]:
 def test_warm_steps(
     benchmark: BenchmarkFixture, exactly: Callable[..., None], sequence: QPSequence, solver: str
 ) -> None:
-    """A whole pass over the sequence; divide by 200 for a step.
-
-    "daqp" less "daqp, bare" is what dpbench's adapter costs, to read the answer included.
-    """
+    """A whole pass over the sequence; divide by 200 for a step."""
     replay = bare_daqp(sequence) if solver == "daqp, bare" else own(solver, sequence)
     replay()  # the second pass starts warm from the end of the first, as all later ones do
     iterations = replay()

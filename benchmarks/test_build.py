@@ -26,11 +26,7 @@ SIZES = (75, 150, 300, 600, 900)
 
 
 def qpmpc_build(problem: ControlProblem) -> Callable[[], Any]:
-    """A call that builds qpmpc's QP of the same horizon, its best form; skipped without qpmpc.
-
-    States [x; u(k−1)], inputs Δu, the same amplitude and rate rows at every step; weights, which
-    it takes as scalars, cost it the same whatever they are.
-    """
+    """A call that builds qpmpc's QP of the same horizon, its best form; skipped without qpmpc."""
     qpmpc = pytest.importorskip("qpmpc", reason="qpmpc is not installed")
     model = problem.model
     n_x, n_u = model.n_x, model.n_u
@@ -86,10 +82,7 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 
 @pytest.mark.benchmark(group="condense 300/300 (n = 900), by turns with qpmpc")
 def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The whole CondensedQP; before each round qpmpc builds the same, `extra_info` has its times.
-
-    By turns in one process, so that what slows the machine down slows both.
-    """
+    """The whole CondensedQP."""
     long = replace(problem, N_p=300, N_c=300)
     build, times = qpmpc_build(long), []
 

@@ -1,4 +1,4 @@
-"""Types of arrays, shared by all packages; their shapes are stated where they are used."""
+"""Types of arrays; their shapes are documented where they are used."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
-"""One axis; its length stands where it is used."""
+"""One axis."""
 Matrix = NDArray[np.float64]
 """Two axes."""
 Floats = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: plain HTML tables, without script and style."""
+"""HTML tables that a notebook shows of an object, without script and style."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def fields_html(title: str, fields: Mapping[str, object]) -> str:
 
 
 def numbers_text(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
-    """Numbers to four digits with commas between, each with its unit where there are any."""
+    """Format numbers to four digits with commas between, each with its unit, if any."""
     texts = [f"{number:.4g}" for number in numbers]
     if units:
         texts = [f"{text} {unit}" for text, unit in zip(texts, units, strict=True)]

@@ -1,9 +1,7 @@
-"""The error tree: everything dpbench raises on purpose, so a caller can catch one base class.
+"""The errors that dpbench raises on purpose.
 
-A *person's* mistake is an `InputError`, one line that the command line prints and exits with 2. A
-wrong value names the place, what was found and what is allowed; a `SituationError` is one plain
-sentence with a remedy. A *solver's* failure is never an exception that leaves the run: it is a
-`Status` in a record.
+Bad input is an `InputError`, one line that the command line prints and exits with 2. A solver's
+failure is never an exception that leaves the run: it is a `Status` in a record.
 """
 
 from __future__ import annotations
@@ -38,13 +36,7 @@ class InputError(DpbenchError, ValueError):
 
 
 class SituationError(InputError):
-    """A situation that no single value is to blame for: one plain sentence with a remedy.
-
-    Parameters
-    ----------
-    where : file, option or solver it is about.
-    sentence : what is the matter, and what to do.
-    """
+    """A situation without a single wrong value: one plain sentence with a remedy."""
 
     def __init__(self, where: str, sentence: str) -> None:
         super().__init__(where, "", sentence, "")
@@ -89,11 +81,9 @@ _NEAREST = 3
 
 
 def one_of(text: str, known: Sequence[str], *, listing: str = "") -> str:
-    """Name what is allowed in place of `text`: all known names, or of many the three nearest.
+    """Name what is allowed in place of `text`: all known names, or the three nearest and `listing`.
 
-    Parameters
-    ----------
-    listing : the command that lists all of them; "" where there is none.
+    listing : the command that lists all names; "" where there is none.
     """
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
@@ -104,11 +94,11 @@ def one_of(text: str, known: Sequence[str], *, listing: str = "") -> str:
 
 
 class RenamedWarning(FutureWarning):
-    """An old word in a person's file or command, still read; the message names the new one."""
+    """An old word in a file or command; the message names the new one."""
 
 
 def renamed(where: str, old: str, new: str) -> None:
-    """Say that `old`, found in `where`, is now called `new`."""
+    """Warn that `old`, found in `where`, is now called `new`."""
     warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 
 

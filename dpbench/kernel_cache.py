@@ -1,9 +1,8 @@
 """Compile kernels with Numba, and keep them where this user may write.
 
-Numba keeps what it compiled beside the sources, else in the user's cache folder, and refuses to
-compile where neither can be written: in a container, or in an installation of another user without
-a home. There the kernels are kept in a folder of this process, whose name the processes that it
-starts inherit (NUMBA_CACHE_DIR), with links to those that were compiled before.
+Numba keeps them beside the sources, else in the user's cache folder, and refuses to compile where
+neither can be written. Then they are kept in a folder of this process, which its child processes
+inherit (NUMBA_CACHE_DIR), with links to kernels that were compiled before.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ _config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as abo
 _app_dirs: Any = AppDirs
 _locator: Any = UserProvidedCacheLocator
 _NO_PLACE = "cannot cache function"
-"""How Numba's complaint begins where it finds no folder to write to."""
+"""Beginning of Numba's error where it finds no folder to write to."""
 
 
 def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
-    """`numba.njit` with these arguments, whatever can be written; without a cache at the last."""
+    """Apply `numba.njit` with these arguments, without a cache where nothing can be written."""
 
     def compiled(function: Function) -> Function:
         def with_options(given: dict[str, Any]) -> Function:
@@ -53,20 +52,16 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
 def cache_folders() -> list[Path]:
     """Return the folders below which Numba keeps compiled kernels."""
     given = _config.CACHE_DIR
-    return [Path(given)] if given else [PACKAGE, _of_user()]
+    return [Path(given)] if given else [PACKAGE, _user_cache()]
 
 
-def _of_user() -> Path:
-    """Numba's cache folder in the user's home."""
+def _user_cache() -> Path:
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
 def _has_own_cache() -> bool:
-    """Make the cache of this process, with links to all that was compiled before.
-
-    Returns whether there is a place for it.
-    """
+    """Make the cache of this process, with links to older kernels; return whether it is there."""
     try:
         own = process_folder() / "kernels"
         own.mkdir()
@@ -79,10 +74,10 @@ def _has_own_cache() -> bool:
 
 
 def _link(sources: Path, own: Path) -> None:
-    """Link what was compiled of one folder of sources into the cache, as Numba names it there."""
+    """Link the kernels of one folder of sources into the cache, as Numba names it there."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
-    for place in (*given, sources / "__pycache__", _of_user() / name):
+    for place in (*given, sources / "__pycache__", _user_cache() / name):
         files: list[Path] = []
         with suppress(OSError):
             files = [path for path in place.iterdir() if path.suffix in (".nbi", ".nbc")]

@@ -1,8 +1,7 @@
-"""Locks between the processes of a machine (flock), with the name of who holds one.
+"""Locks between the processes of a machine (flock), with the names of their holders.
 
-A lock is on a file or a folder that all processes know, and ends with the process that holds it,
-however that ends. A holder writes its process, its work and the time into the file, for those who
-wait.
+A lock is on a file or a folder, and ends with the process that holds it, however that ends. A
+holder writes its process, its work and the time into the file, for those who wait.
 """
 
 from __future__ import annotations
@@ -23,24 +22,18 @@ from dpbench.errors import InputError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-"""How what is locked is opened."""
+"""Flags to open a lock."""
 ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
 MAX_BYTES = 2**16
-"""Of a lock file that is read."""
+"""Largest part of a lock file that is read."""
 MAX_WORK = 100
-"""Characters of the command of a holder."""
+"""Longest command of a holder."""
 _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
 class Holder:
-    """A process that holds a lock, as it says in the file.
-
-    Parameters
-    ----------
-    work : what it does meanwhile: its result folder.
-    since : when it began that [s since the epoch].
-    """
+    """A process that holds a lock: its result folder, and its start [s since the epoch]."""
 
     work: str
     since: float = field(default_factory=time.time)
@@ -52,10 +45,7 @@ class Holder:
 
     @classmethod
     def read(cls, line: str) -> Holder:
-        """Parse the holder that a line names.
-
-        ValueError, KeyError or TypeError where it names none.
-        """
+        """Parse the holder of a line; ValueError, KeyError or TypeError for none."""
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())
         holder = cls(work, float(entry["since"]), int(entry["pid"]))
@@ -65,18 +55,13 @@ class Holder:
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a lock that others hold is waited for.
-
-    Parameters
-    ----------
-    limit_s : the longest wait, 0 for none; None without a limit.
-    """
+    """The longest wait for a lock that others hold: 0 for none, None without a limit."""
 
     limit_s: float | None = None
 
 
 class BusyError(InputError):
-    """A lock that others still hold at the end of the wait; `found` names them."""
+    """A lock that others still hold at the end of the wait."""
 
 
 @contextmanager
@@ -86,13 +71,35 @@ def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Itera
     Yields false where another holds it, where it is another user's, or where the disk has no locks.
     """
     with ExitStack() as stack:
-        held = False
+        is_locked = False
         with suppress(OSError):
             lock = os.open(path, opened_as, 0o600)
             stack.callback(os.close, lock)
             fcntl.flock(lock, how)
-            held = True
-        yield held
+            is_locked = True
+        yield is_locked
+
+
+@contextmanager
+def _lock(
+    path: Path,
+    opened_as: int,
+    how: int,
+    where: str,
+    patience: Patience,
+    say_waiting: Callable[[str], None],
+) -> Iterator[int | None]:
+    """Hold a lock as long as the block lasts, after a wait; yield its descriptor, if any."""
+    with ExitStack() as stack:
+        locked = None
+        # Without a folder for the file, or on a disk that has no locks.
+        with suppress(OSError):
+            lock = os.open(path, opened_as, 0o600)
+            stack.callback(os.close, lock)
+            if not _try_lock(lock, how):
+                _wait(lock, how, where, patience, say_waiting)
+            locked = lock if _try_lock(lock, how) else None
+        yield locked
 
 
 @contextmanager
@@ -105,34 +112,22 @@ def lock_file(
     patience: Patience = Patience(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> Iterator[bool]:
-    """Hold the lock of a file as long as the block lasts.
+    """Hold the lock of a file as long as the block lasts; yield whether there is one.
 
-    Yields false where there is none to be had.
-
-    Parameters
-    ----------
-    how : ALONE, or TOGETHER with others that ask for that.
-    holder : this process, for those who wait for it.
-    where : what is locked, for the error.
+    how : ALONE, or TOGETHER with others that use it.
+    holder : this process, written into the file for those who wait.
+    where : the name of the lock in the error.
     say_waiting : called once with the holders, before a wait.
-
-    Raises
-    ------
-    BusyError : see `Patience`.
+    Raises BusyError at the end of the wait.
     """
-    with ExitStack() as stack:
-        held = False
-        # Without a folder for the file, or on a disk that knows no locks.
-        with suppress(OSError):
-            lock = os.open(path, FILE, 0o600)
-            stack.callback(os.close, lock)
-            if not _locked(lock, how | fcntl.LOCK_NB):
-                _wait(lock, how, where, patience, say_waiting)
-            held = _locked(lock, how | fcntl.LOCK_NB)
-            if held:
-                _write(lock, [*_others(lock), holder])
-                stack.callback(lambda: _write(lock, _others(lock)))
-        yield held
+    with _lock(path, FILE, how, where, patience, say_waiting) as lock:
+        if lock is not None:
+            _write(lock, [*_others(lock), holder])
+        try:
+            yield lock is not None
+        finally:
+            if lock is not None:
+                _write(lock, _others(lock))
 
 
 @contextmanager
@@ -140,15 +135,8 @@ def lock_folder(
     folder: Path, *, patience: Patience, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
     """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
-    with ExitStack() as stack:
-        held = False
-        with suppress(OSError):
-            lock = os.open(folder, FOLDER)
-            stack.callback(os.close, lock)
-            if not _locked(lock, ALONE | fcntl.LOCK_NB):
-                _wait(lock, ALONE, str(folder), patience, say_waiting)
-            held = _locked(lock, ALONE | fcntl.LOCK_NB)
-        yield held
+    with _lock(folder, FOLDER, ALONE, str(folder), patience, say_waiting) as lock:
+        yield lock is not None
 
 
 def _wait(
@@ -164,17 +152,17 @@ def _wait(
     end_s = time.monotonic() + patience.limit_s
     while time.monotonic() < end_s:
         time.sleep(_POLL_S)
-        if _locked(lock, how | fcntl.LOCK_NB):
+        if _try_lock(lock, how):
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
     found = f"in use by {holders(lock)}{waited}"
     raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
-def _locked(lock: int, how: int) -> bool:
-    """Lock an open file if nobody else has it; OSError where there are no locks."""
+def _try_lock(lock: int, how: int) -> bool:
+    """Lock an open file unless another process has it; OSError where there are no locks."""
     try:
-        fcntl.flock(lock, how)
+        fcntl.flock(lock, how | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
@@ -187,7 +175,7 @@ def holders(lock: int) -> str:
 
 
 def _known_to_kernel(lock: int) -> list[Holder]:
-    """Return the holders of a lock that the kernel lists; none where it does not show them."""
+    """Return the holders of a lock that the kernel lists, if any."""
     status = os.fstat(lock)
     device = status.st_dev
     place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"

@@ -1,7 +1,7 @@
-"""Folders that go with the process that made them.
+"""Temporary folders that are removed with the process that made them.
 
-A folder is locked as long as its process lives. What a killed one has left is locked by nobody, and
-goes when the next one makes a folder in the same place.
+A folder is locked as long as its process lives; the folder of a killed process is removed when the
+next one makes a folder in the same place.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from dpbench.locks import FOLDER, lease
 
 PREFIX = "dpbench-scratch-"
-"""What names of such folders begin with, and no other."""
+"""Beginning of the names of such folders alone."""
 LONGEST = 70
 """Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
 _LAST = -200
@@ -29,7 +29,7 @@ ATTEMPTS = 10
 
 @contextmanager
 def temporary_folder(place: Path) -> Iterator[Path]:
-    """Provide a folder for this user alone; all that is in it is gone at the end of the block."""
+    """Provide a folder for this user alone, removed at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
@@ -42,7 +42,7 @@ def temporary_folder(place: Path) -> Iterator[Path]:
 
 
 def clear_abandoned(place: Path) -> None:
-    """Remove the folders at a place whose process lives no more."""
+    """Remove the folders at a place whose process has ended."""
     for folder in place.glob(f"{PREFIX}*"):
         with lease(folder, FOLDER) as abandoned:
             if abandoned:
@@ -58,18 +58,13 @@ def _remove(folder: Path) -> None:
 
 
 _held: list[object] = []
-"""Context that holds the folder of this process. A fork by `multiprocessing` clears the finalizers
-that it inherits; without another reference to the context it would remove its parent's folder."""
+"""Context of the folder of this process: a fork by `multiprocessing` clears the finalizers that it
+inherits, and without another reference would remove its parent's folder."""
 
 
 @cache
 def process_folder() -> Path:
-    """Return a folder of this process on the disk for temporary files, gone when the process ends.
-
-    Raises
-    ------
-    OSError : there is no place for one.
-    """
+    """Return a folder of this process, removed when it ends; OSError without a place for one."""
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     _held.append(made)
@@ -79,11 +74,7 @@ def process_folder() -> Path:
 
 
 def keep_sockets() -> None:
-    """Have `multiprocessing` keep its sockets in the folder of this process.
-
-    Those of a killed one go too. They stay where Python keeps them if that path is too long for a
-    socket.
-    """
+    """Have `multiprocessing` keep its sockets in the folder of this process, if its path fits."""
     before = tempfile.tempdir
     try:
         folder = process_folder()

@@ -115,10 +115,7 @@ def _check(right: bool, words: str) -> None:
 
 @dataclass
 class Place:
-    """A folder of its own for one scenario, and the commands that are run there.
-
-    wanted, took_s : folder of the undisturbed run of the same suite, and what that took.
-    """
+    """A folder of its own for one scenario, and the commands that are run there."""
 
     folder: Path
     wanted: Path | None = None

@@ -393,10 +393,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def standard(records: MadeRecords, scale: float = 1.0) -> MadeRecords:
-    """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers.
-
-    `scale` shortens the loops whose length no test asks for: all but those of the paper.
-    """
+    """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers."""
     configurations = {
         "daqp": (1e-13, 18.0),
         "quadprog": (1e-12, 22.0),

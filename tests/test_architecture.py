@@ -1,10 +1,12 @@
-"""Documents for maintainers: every file and function that they name exists."""
+"""Documents for maintainers, the README and worked examples agree with the code."""
 
 from __future__ import annotations
 
 import ast
+import doctest
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -57,3 +59,50 @@ def test_every_place_a_document_names_exists(document: str) -> None:
     assert named
     for name in named:
         assert (ROOT / name).exists() or (ROOT / "docs" / name).exists(), name
+
+
+README = ROOT / "README.md"
+
+
+def test_the_readme_is_short() -> None:
+    """At most 150 lines: what is longer stands in the documentation."""
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_every_file_the_readme_links_to_exists() -> None:
+    """No link of the README leads nowhere."""
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", README.read_text(encoding="utf-8"))
+    assert targets
+    missing = [target for target in targets if not (README.parent / target).exists()]
+    assert not missing
+
+
+PACKAGE = ROOT / "dpbench"
+EXPLAINED = sorted(
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in PACKAGE.rglob("*.py")
+    if "\n>>> " in path.read_text(encoding="utf-8")
+)
+HARD = {
+    "dpbench.qp.referee.kernels",
+    "dpbench.qp.referee.nearby",
+    "dpbench.qp.referee.rational",
+    "dpbench.qp.referee.referee",
+    "dpbench.ship.estimation.kalman",
+    "dpbench.solvers.own.active_set.kernel",
+    "dpbench.solvers.own.hildreth",
+    "dpbench.solvers.own.exact_point",
+}
+
+
+@pytest.mark.parametrize("name", EXPLAINED)
+def test_the_examples_of_a_module_are_true(name: str) -> None:
+    """Every line of an example gives what stands below it."""
+    outcome = doctest.testmod(import_module(name))
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
+
+
+def test_the_hard_kernels_have_an_example() -> None:
+    """None of them has lost its own."""
+    assert set(EXPLAINED) >= HARD

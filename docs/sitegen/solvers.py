@@ -23,7 +23,7 @@ INTRODUCTION = """# Solvers
 
 One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by
 its name without one, and [your own](../tutorials/add-a-solver.md) is one file.
-`dpbench list solvers` says which are installed here, in which version.
+`dpbench list solvers` lists which are installed here, in which version.
 """
 EXTRAS = {
     "core": "with dpbench",

@@ -1,10 +1,9 @@
-"""The command `dpbench capability`: the wind a ship holds, and which solvers are right there."""
+"""The command `dpbench capability`: the wind a ship holds, and the accuracy of solvers there."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,25 +26,19 @@ from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import check_available
 
 SIDES = 24
-"""Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
-within the 1 % that de Wit (2009) recommends."""
+"""Default sides of polygons: they lose 0.9 % of the thrust; de Wit (2009) recommends up to 1 %."""
 FIGURES = (".svg", ".html", ".png", ".pdf")
 _WIDE = 4
 """Cases that fit beside each other."""
 _CELL = 15
 
 
-def tell_capability(arguments: argparse.Namespace) -> str:
-    """Return the output of `dpbench capability`.
-
-    Raises
-    ------
-    InputError : a vessel without thrusters or hull, sides or a figure that cannot be, a solver that
-        is not there.
-    """
+def capability_text(arguments: argparse.Namespace) -> str:
+    """Return the output of `dpbench capability`; InputError for a bad vessel or option."""
     figure = _figure_file(arguments.figure)
     for name in arguments.solver or ():
-        _check_installed(name)
+        if name != "all":
+            check_available(name)
     vessel = load_vessel(arguments.vessel)
     frontier = Frontier(vessel, arguments.sides)
     quiet = arguments.json
@@ -56,21 +49,17 @@ def tell_capability(arguments: argparse.Namespace) -> str:
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
-        answers = _asked(frontier, capability, out, arguments)
+        answers = _judge_solvers(frontier, capability, out, arguments)
     if arguments.json:
-        return json.dumps(as_document(capability, vessel, answers), ensure_ascii=False, indent=2)
+        report = as_document(capability, vessel, answers)
+        return json.dumps(report, ensure_ascii=False, indent=2)
     lines = table_lines(capability, vessel)
     if answers:
         lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
 
 
-def _check_installed(solver: str) -> None:
-    if solver != "all":
-        check_available(solver)
-
-
-def _asked(
+def _judge_solvers(
     frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
     """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
@@ -153,7 +142,7 @@ def _verdict(capability: Capability) -> list[str]:
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
-    """Which solvers said rightly what is balanced and what is not."""
+    """Make the table of solvers: how many answers to static allocations are right and wrong."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
@@ -161,21 +150,13 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
         "claimed."
     )
     widths = (20, 12, 13, 7, 10, 10)
-    heads = ("solver", "optimum", "infeasible", "wrong", "p50", "largest")
-    rows = [
-        (
-            a.solver,
-            f"{a.balanced}/{a.feasible}",
-            f"{a.refused}/{a.infeasible}",
-            str(a.wrong),
-            time_text(a.p50_ns),
-            time_text(a.max_ns),
-        )
-        for a in answers
-    ]
+    rows: list[tuple[str, ...]] = [("solver", "optimum", "infeasible", "wrong", "p50", "largest")]
+    for a in answers:
+        counts = f"{a.balanced}/{a.feasible}", f"{a.refused}/{a.infeasible}", str(a.wrong)
+        rows.append((a.solver, *counts, time_text(a.p50_ns), time_text(a.max_ns)))
     table = [
         "".join(f"{cell:{'<' if i == 0 else '>'}{widths[i]}}" for i, cell in enumerate(row))
-        for row in (heads, *rows)
+        for row in rows
     ]
     return [*textwrap.wrap(about, WIDTH), "", *table]
 
@@ -183,7 +164,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
 def as_document(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
-    """All of it, for JSON."""
+    """Return all of it, for JSON."""
     return {
         "vessel": capability.vessel,
         "title": vessel.title,
@@ -201,13 +182,9 @@ def as_document(
             }
             for case, held in capability.held.items()
         ],
-        "solvers": [_without_nan(vars(answer)) for answer in answers],
-    }
-
-
-def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no NaN."""
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in fields.items()
+        # JSON has no NaN, the one number that differs from itself.
+        "solvers": [
+            {key: value if value == value else None for key, value in vars(answer).items()}
+            for answer in answers
+        ],
     }

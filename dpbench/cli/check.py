@@ -1,6 +1,6 @@
-"""Text of `dpbench check`: one line on a sequence or a suite, a dozen on a ship (`check_ship`).
+"""Text of `dpbench check`: a line on a sequence or a suite, a dozen on a ship (`check_ship`).
 
-Each kind imports its own work, so that a mistake is answered before anything heavy is loaded.
+Each kind imports its own work, so that an error appears before anything heavy is loaded.
 """
 
 from __future__ import annotations
@@ -12,17 +12,7 @@ from typing import Any
 
 from dpbench.bench.progress import Progress
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import (
-    KINDS,
-    SEQUENCES,
-    is_stored,
-    parse_model,
-    problem_names,
-    problem_path,
-    read_model,
-    read_toml,
-    sequence_path,
-)
+from dpbench.scenario import problem_files as problems
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 
@@ -30,46 +20,42 @@ CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
     "a .npz or a folder of problems by qpsolvers, a folder of results/community"
 )
-"""What `dpbench check` takes."""
+"""Arguments of `dpbench check`, for errors."""
 
 
-def check_file(asked: str, progress: Progress | None = None) -> str:
-    """Check what `run` takes, by its name or path; what it is, in one line, or a dozen of a ship.
+def check_file(name: str, progress: Progress | None = None) -> str:
+    """Check a file by name or path, as `CHECKED` lists them, certify its optima, and describe it.
 
-    That is a vessel, scenario (`rough`, `rough@osv`) or suite, a sequence, or a problem or a folder
-    of problems by qpsolvers; or a folder of results that was sent to us. Every optimum is
-    certified, which may take a while.
-
-    Raises
-    ------
-    InputError : naming file, key, what was found and what is allowed.
+    Raises InputError naming file, key, what was found and what is allowed.
     """
-    if is_stored(asked):
-        return _check_sequence(sequence_path(asked), progress)
+    if problems.is_stored(name):
+        return _check_sequence(problems.sequence_path(name), progress)
     # A scenario and a suite may have one name.
-    paths = [problem_path(kind, asked) for kind in KINDS if asked in problem_names(kind)]
+    kinds = [kind for kind in problems.KINDS if name in problems.problem_names(kind)]
+    paths = [problems.problem_path(kind, name) for kind in kinds]
     if paths:
         return "\n".join(_check_document(path, progress) for path in paths)
     # Unlike Path.exists, these are False for a name that is too long to exist.
-    if os.path.isdir(asked):
-        return _check_folder(Path(asked), progress)
-    if asked.endswith(".npz"):
-        return _check_sequence(Path(asked), progress)
-    if os.path.isfile(asked):
-        return _check_document(Path(asked), progress)
-    if "@" in asked:
-        return _check_scenario(asked, progress)
-    if asked.endswith(".toml") or "/" in asked:
-        raise InputError(asked, "", "no such file or folder", CHECKED)
-    raise _unknown(asked)
+    if os.path.isdir(name):
+        return _check_folder(Path(name), progress)
+    if name.endswith(".npz"):
+        return _check_sequence(Path(name), progress)
+    if os.path.isfile(name):
+        return _check_document(Path(name), progress)
+    if "@" in name:
+        return _check_scenario(name, progress)
+    if name.endswith(".toml") or "/" in name:
+        raise InputError(name, "", "no such file or folder", CHECKED)
+    raise _unknown(name)
 
 
-def _unknown(asked: str) -> InputError:
+def _unknown(name: str) -> InputError:
     """Return the error of an unknown name, with the nearest names of all kinds."""
-    names = [name for kind in (*KINDS, SEQUENCES) for name in problem_names(kind)]
-    near = difflib.get_close_matches(asked, names, n=3)
+    kinds = (*problems.KINDS, problems.SEQUENCES)
+    names = [known for kind in kinds for known in problems.problem_names(kind)]
+    near = difflib.get_close_matches(name, names, n=3)
     hint = f"e.g. {', '.join(near)}; " if near else ""
-    shown = repr(asked if len(asked) <= 80 else f"{asked[:77]}...")
+    shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
     return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
 
 
@@ -90,17 +76,17 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
 
 def _check_document(file: Path, progress: Progress | None) -> str:
     """Check a TOML file, recognised by its tables."""
-    document = read_toml(file)
+    document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress)
     if "controller" in document or "environment" in document:
-        parse_model(document, ScenarioFile, str(file))
+        problems.parse_model(document, ScenarioFile, str(file))
         return _check_scenario(file, progress)
     return _check_suite(file, document)
 
 
 def _check_vessel(file: Path, progress: Progress | None) -> str:
-    vessel = read_model(file, VesselFile).vessel(file.stem, str(file))
+    vessel = problems.read_model(file, VesselFile).vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
     return vessel_text(file, vessel, progress)

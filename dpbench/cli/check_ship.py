@@ -14,15 +14,7 @@ from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import rounded_down, rounded_up, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.ship.characteristics import (
-    SWAY,
-    axis_time_constants_s,
-    largest_current_abeam_mps,
-    mean_load,
-    sideways_force,
-    slow_speed,
-    steady_speed,
-)
+from dpbench.ship import characteristics as ships
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
@@ -35,10 +27,10 @@ _TRIALS = 2 * len(OFFSETS_M)
 
 
 def vessel_text(file: Path, vessel: Vessel, progress: Progress | None = None) -> str:
-    """Describe a vessel: its numbers, and up to which offset the two tunings bring it back."""
+    """Describe a vessel, and the largest offsets from which the two tunings bring it back."""
     tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
     first = f"{file.name}: a vessel, {vessel.title}"
-    return _lines([first, *ship_lines(vessel), *_held_lines(tuned, progress)])
+    return _text(first, [*ship_lines(vessel), *_offset_lines(tuned, progress)])
 
 
 def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | None = None) -> str:
@@ -46,11 +38,10 @@ def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | Non
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
-    return _lines([first, *about, *_held_lines([scenario], progress)])
+    return _text(first, [*about, *_offset_lines([scenario], progress)])
 
 
-def _lines(lines: Sequence[str]) -> str:
-    first, *others = lines
+def _text(first: str, others: Sequence[str]) -> str:
     return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
 
 
@@ -62,13 +53,15 @@ def ship_lines(vessel: Vessel) -> list[str]:
     force = [f"{_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
     rise = vessel.tau_max / vessel.rate_max
     reach = vessel.reachable_acceleration()[1] * _KILO
-    drift = _with_units(steady_speed(vessel)[1] * _DEGREES, _SPEEDS, slow_speed(vessel) * _DEGREES)
+    drift = _with_units(
+        ships.steady_speed(vessel)[1] * _DEGREES, _SPEEDS, ships.slow_speed(vessel) * _DEGREES
+    )
     rows = [
         ("", "surge", "sway", "yaw"),
         ("largest force", *force),
         ("zero to full in", *(f"{_short(t)} s" for t in rise)),
-        ("time constant", *(f"{_short(t)} s" for t in axis_time_constants_s(vessel))),
-        ("acceleration at full", *_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
+        ("time constant", *(f"{_short(t)} s" for t in ships.axis_time_constants_s(vessel))),
+        ("acceleration at full", *_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"), [np.inf] * 3)),
         ("linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
@@ -79,47 +72,41 @@ def _range(low: float, high: float) -> str:
     return f"±{_short(high)}" if low == -high else f"{_short(low)}..{_short(high)}"
 
 
-def _with_units(values: Vector, units: Sequence[str], most: Vector | None = None) -> list[str]:
-    """Numbers with units; what is beyond `most` is only said to be."""
-    if most is None:
-        return [f"{_short(value)} {unit}" for value, unit in zip(values, units, strict=True)]
+def _with_units(values: Vector, units: Sequence[str], most: Sequence[float] | Vector) -> list[str]:
+    """Format numbers with units; of one above `most` only that."""
     return [
-        f"{_up_to(value, limit)} {unit}"
+        f"{_short(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
         for value, unit, limit in zip(values, units, most, strict=True)
     ]
 
 
-def _up_to(value: float, most: float) -> str:
-    return _short(value) if value <= most else f"> {significant(most, 2)}"
-
-
 def _short(value: float) -> str:
-    """Three digits; large numbers whole, without a point."""
+    """Format three digits; large numbers whole, without a point."""
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
 def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
     """Compare the force for 1 m/s sideways with the limits; name the current that can be held."""
-    needs = sideways_force(vessel)[SWAY] / per
-    has = min(-vessel.tau_min[SWAY], vessel.tau_max[SWAY]) / per
-    most = slow_speed(vessel)[SWAY]
-    current = largest_current_abeam_mps(vessel)
-    said = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
-    held = f"holds {said} m/s of current abeam"
-    return f"1 m/s sideways needs {_short(needs)} {unit} of {_short(has)}; {held}"
+    needs = ships.sideways_force(vessel)[ships.SWAY] / per
+    has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
+    most = ships.slow_speed(vessel)[ships.SWAY]
+    current = ships.largest_current_abeam_mps(vessel)
+    largest = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
+    needed = f"1 m/s sideways needs {_short(needs)} {unit} of {_short(has)}"
+    return f"{needed}; holds {largest} m/s of current abeam"
 
 
 def _weather_line(scenario: Scenario) -> str:
     """Return the mean force of the weather at the reference as a share of the limits."""
     vessel = scenario.vessel
-    load = mean_load(vessel, scenario.environment, float(scenario.reference[2]))
+    load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
     over = " - it cannot hold" if (np.abs(load) > against).any() else ""
     return f"mean force of its weather: {shares} of the limits{over}"
 
 
-def _held_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
+def _offset_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
     """Try which offsets each tuning holds in still water."""
     progress = progress or Silent()
     progress.start(_TRIALS * len(tuned))
@@ -136,7 +123,7 @@ def _held_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[st
         bracket = held_in_still_water(scenario, holds)
         progress.advance(_TRIALS - trials, "")
         controller = scenario.controller.label
-        # Offsets are at full size; a model ship's own are said.
+        # Offsets are at full size; a model ship's own are printed.
         scale = Froude(float(scenario.files["vessel"]["model_scale"])).length
         lines.append(f"tuning {controller:<14} {_bracket_text(bracket, scale)}")
     return lines

@@ -1,7 +1,4 @@
-"""Compile all that any command needs, so that none waits for it: `python -m dpbench.cli.compiling`.
-
-`make setup` ends with it; without it the first command that needs a kernel compiles that.
-"""
+"""Compile all kernels, so that no command waits for one: `python -m dpbench.cli.compiling`."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from dpbench.solvers.open import open_workspace
 
 
 def compile_all() -> None:
-    """Fill Numba's cache, and say so; nothing where it is filled."""
+    """Fill Numba's cache, and print how long it took; nothing where it is filled."""
     absent = missing((OWN, LOOP))
     if not absent:
         return

@@ -1,4 +1,4 @@
-"""What `dpbench doctor` says: this machine, is it quiet now, and is the harness right."""
+"""Text of `dpbench doctor`: this machine, whether it is quiet, and whether the harness is right."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ _WIDTH = 32
 
 
 def doctor_lines() -> list[str]:
-    """Return facts and verdicts on machine and harness.
+    """Return facts and verdicts, from a few seconds of the harness's own configurations.
 
-    They come from a few seconds of the harness's own configurations.
-
-    They run in this process, on the core that timed replays are pinned to.
+    These run in this process, on the core that timed replays are pinned to.
     """
     machine = describe_machine()
     harness = calibrate()
@@ -35,14 +33,12 @@ def doctor_lines() -> list[str]:
         ("load average", loads or MISSING),
         *disturbance_facts(harness.disturbance),
     ]
+    verdicts = (
+        f"machine: {verdict_text(harness.disturbance)}",
+        f"quiet means: {RULE}",
+        f"harness: {calibration_text(harness.p50_ns)}",
+    )
     return [
-        *(wrapped(said, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, said in facts),
-        *(
-            wrapped(said, others="  ")
-            for said in (
-                f"machine: {verdict_text(harness.disturbance)}",
-                f"quiet means: {RULE}",
-                f"harness: {calibration_text(harness.p50_ns)}",
-            )
-        ),
+        *(wrapped(text, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, text in facts),
+        *(wrapped(text, others="  ") for text in verdicts),
     ]

@@ -1,8 +1,7 @@
-"""The command line: parse arguments, call one public function, choose the exit code.
+"""The command line: parse arguments, call one public function, print, choose the exit code.
 
 Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, or the benchmark lost
-cells of a run by an accident of its own. 2: bad input, said in one line. What is printed is printed
-here.
+cells of a run by an accident of its own. 2: bad input.
 """
 
 from __future__ import annotations
@@ -15,19 +14,12 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
-from dpbench.cli.arguments import HOW_TO_END, parser
-from dpbench.cli.completion import complete
+from dpbench.cli.arguments import HOW_TO_END, complete, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import (
-    DpbenchError,
-    InputError,
-    RenamedWarning,
-    SituationError,
-    renamed,
-)
+from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, renamed
 from dpbench.files.writing import write_given
 
 if TYPE_CHECKING:
@@ -36,38 +28,30 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """The exit code after Ctrl-C; after another signal 128 and its number."""
 OLD_COMMANDS = {"hunt": "worst-case"}
-"""Old names of commands that are still read, with what they are called now."""
+"""Old names of commands that are still read, with the new ones."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code.
-
-    Parameters
-    ----------
-    argv : the words after the command; None for those of this process, which ends with it.
-    """
+    """Run the command line with these words, or those of this process; return the exit code."""
     if argv is not None:
         with first_signal_only() as interruption:
-            return _ended(argv, interruption)
+            return _run_until_signal(argv, interruption)
     open_streams()
     try:
         with first_signal_only(for_good=True) as interruption:
-            return _ended(sys.argv[1:], interruption)
+            return _run_until_signal(sys.argv[1:], interruption)
     finally:
         flush_streams()
 
 
-def _ended(argv: Sequence[str], interruption: Interruption) -> int:
-    """Return the exit code of a command.
-
-    Also where a signal or the reader of its output ended it.
-    """
+def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run a command until it, a signal or the reader of its output ends; return the exit code."""
     try:
-        code = _called(argv, interruption)
+        code = _call_command(argv, interruption)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except OSError:
-        # To a terminal that was closed nothing is said any more.
+        # Nothing is printed to a terminal that was closed.
         if not interruption.signal and not is_output_lost():
             raise
         code = PIPE_CLOSED
@@ -78,12 +62,12 @@ def _ended(argv: Sequence[str], interruption: Interruption) -> int:
     return 128 + interruption.signal if interruption.signal and code else code
 
 
-def _called(argv: Sequence[str], interruption: Interruption) -> int:
-    """Call the command that the words name; returns the exit code."""
+def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
+    """Call the command that the words name; return the exit code."""
     words = list(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
-        warnings.showwarning = _one_line
+        warnings.showwarning = _print_warning
         if words and words[0] in OLD_COMMANDS:
             renamed("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
@@ -93,27 +77,12 @@ def _called(argv: Sequence[str], interruption: Interruption) -> int:
         return _exit_code(whole.parse_args(words), interruption)
 
 
-def _one_line(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
+def _print_warning(
+    message: Warning | str, category: type[Warning], *where: Any, **file: Any
 ) -> None:
-    """Print a warning as one line.
-
-    That of an old word comes without the name of its class.
-    """
+    """Print a warning as one line, that of an old word without the name of its class."""
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
-
-
-def _no_codes_at_exit() -> None:
-    """Keep colorama, which Numba starts, from a control code after all that was printed."""
-    colorama = sys.modules.get("colorama.initialise")
-    if colorama is not None:
-        atexit.unregister(colorama.reset_all)
 
 
 def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int:
@@ -122,19 +91,16 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
             raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
         code = int(arguments.call(arguments))
-        # Here, where a full disk or a closed pipe gets its line, and not at the end of Python.
+        # A full disk or a closed pipe is an error here, and not at the end of Python.
         sys.stdout.flush()
         return code
-    except InputError as error:
-        print(f"dpbench: {error}", file=sys.stderr)
-        return 2
     except DpbenchError as error:
         print(f"dpbench: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, InputError) else 1
     except OSError as error:
         if is_output_lost():
             raise
-        # The last net under all that is read and written: a full disk, a folder in a file's place.
+        # Whatever else cannot be read or written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
             f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
@@ -146,17 +112,20 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
         print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return _say_interrupted(arguments)
+        return _print_interrupted(arguments)
     except Exception:
         # A library whose code is loading when a signal comes makes an error of its own of it.
         if not interruption.signal:
             raise
-        return _say_interrupted(arguments)
+        return _print_interrupted(arguments)
     finally:
-        _no_codes_at_exit()
+        # Keep colorama, which Numba starts, from printing a control code at the end.
+        colorama = sys.modules.get("colorama.initialise")
+        if colorama is not None:
+            atexit.unregister(colorama.reset_all)
 
 
-def _say_interrupted(arguments: argparse.Namespace) -> int:
+def _print_interrupted(arguments: argparse.Namespace) -> int:
     resumes = arguments.call in (_run, _cells)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
@@ -169,18 +138,13 @@ def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
-"""Arguments of a run that have no part in what it takes."""
-
-
 def _dry_run(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
 
-    estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END))
-    if arguments.json:
-        print(json.dumps(vars(estimate), indent=2))
-    else:
-        print("\n".join(estimate.lines))
+    unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
+    estimate = estimate_campaign(**_given(arguments, *unused, *HOW_TO_END))
+    text = json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines)
+    print(text)
     return 0
 
 
@@ -196,10 +160,10 @@ def _run(arguments: argparse.Namespace) -> int:
         bar.advance(0, "writing the report")
         page_and_ending = report_and_ending(out)
     say_ending(*page_and_ending, arguments)
-    return _say_accidents(out)
+    return _print_accidents(out)
 
 
-def _say_accidents(out: Path) -> int:
+def _print_accidents(out: Path) -> int:
     """Print the accidents of the benchmark itself, a line each; return the exit code."""
     from dpbench.bench.record.result_folder import accidents
 
@@ -216,7 +180,7 @@ def _cells(arguments: argparse.Namespace) -> int:
     with Bar() as bar:
         out = run_campaign(**_given(arguments), progress=bar)
     print(f"shard {arguments.shard} is in {out}")
-    return _say_accidents(out)
+    return _print_accidents(out)
 
 
 def _gather(arguments: argparse.Namespace) -> int:
@@ -226,7 +190,7 @@ def _gather(arguments: argparse.Namespace) -> int:
 
     out = gather(**_given(arguments, *HOW_TO_END))
     say_ending(*report_and_ending(out), arguments)
-    return _say_accidents(out)
+    return _print_accidents(out)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -235,9 +199,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
-    say_ending(
-        *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
-    )
+    page_and_ending = report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END))
+    say_ending(*page_and_ending, arguments)
     return 0
 
 
@@ -269,7 +232,7 @@ def _compare(arguments: argparse.Namespace) -> int:
         from dpbench.report.compare.page import write_comparison
 
         write_comparison(Path(arguments.html), compared)
-    _say_compared(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
+    _print_comparison(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
     return int(compared.worse)
 
 
@@ -279,14 +242,14 @@ def _releases(arguments: argparse.Namespace) -> int:
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
         write_releases(Path(arguments.html), over)
-    _say_compared(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
+    _print_comparison(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
     return 0
 
 
-def _say_compared(
+def _print_comparison(
     markdown: str, tables: Sequence[Table], lines: Sequence[str], file: str | None
 ) -> None:
-    """Tables, then lines, on the screen; the Markdown into a file, or alone for `-`."""
+    """Print tables, then lines; write the Markdown into a file, or print it alone for `-`."""
     from dpbench.cli.terminal import console, report_table, say
 
     if file == "-":
@@ -311,10 +274,10 @@ def _export(arguments: argparse.Namespace) -> int:
         from dpbench.cli.terminal import Bar
 
         with Bar(transient=True) as bar:
-            said = regenerate(arguments.out or "results/sequences", progress=bar)
+            text = regenerate(arguments.out or "results/sequences", progress=bar)
     else:
-        said = export(**_given(arguments, "all"))
-    say(said.splitlines())
+        text = export(**_given(arguments, "all"))
+    say(text.splitlines())
     return 0
 
 
@@ -341,39 +304,32 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _list(arguments: argparse.Namespace) -> int:
+    from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import console
 
-    if arguments.what == "solvers":
-        from dpbench.cli.list_solvers import solver_list
-
-        console().print(solver_list())
-    else:
-        from dpbench.cli.list_problems import problem_list
-
-        console().print(problem_list(arguments.what))
+    console().print(list_table(arguments.what))
     return 0
 
 
 def _init(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.own_ship import make_own_ship
+    from dpbench.cli.own_ship import write_own_ship
     from dpbench.cli.terminal import say
 
-    say(make_own_ship(arguments))
+    say(write_own_ship(arguments))
     return 0
 
 
 def _capability(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.capability import tell_capability
+    from dpbench.cli.capability import capability_text
 
-    print(tell_capability(arguments))
+    print(capability_text(arguments))
     return 0
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from dpbench.cli.doctor import doctor_lines
 
-    for line in doctor_lines():
-        print(line)
+    print("\n".join(doctor_lines()))
     return 0
 
 
@@ -382,8 +338,8 @@ def _check(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import Bar, say
 
     with Bar(transient=True) as bar:
-        said = check_file(arguments.file, bar)
-    say(said.splitlines())
+        text = check_file(arguments.file, bar)
+    say(text.splitlines())
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Standard streams that take whatever is printed: closed ones, pipes nobody reads, ASCII."""
+"""Standard streams that accept any text, also when closed, in a closed pipe or in ASCII."""
 
 from __future__ import annotations
 
@@ -13,29 +13,20 @@ PIPE_CLOSED = 141
 """The exit code of a program that a closed pipe ended, as a shell gives it."""
 _ERRORS = "dpbench"
 """The name of `_plain` among the handlers of encoding errors."""
+# fmt: off
 _PLAIN = {
-    "µ": "u",
-    "≤": "<=",
-    "≥": ">=",
-    "≈": "~",
-    "×": "x",
-    "·": "*",
-    "−": "-",
-    "–": "-",
-    "°": "deg",
-    "±": "+-",
-    "∞": "inf",
-    "§": "section ",
-    "•": "*",
+    "µ": "u", "≤": "<=", "≥": ">=", "≈": "~", "×": "x", "·": "*", "−": "-", "–": "-",
+    "°": "deg", "±": "+-", "∞": "inf", "§": "section ", "•": "*",
 }
-"""What stands for a character where there are fewer; of others their letter without its accent."""
+# fmt: on
+"""Replacements of characters that an encoding lacks; others lose their accent."""
 
 
 def open_streams() -> None:
     """Give this process a standard input, output and error, whatever it was started with.
 
-    A closed one leads nowhere, before a result file gets its number. Those that cannot show a
-    character show what comes nearest; a path that is no text keeps its bytes where they can.
+    A closed one leads nowhere, before a result file gets its number. A character that an encoding
+    lacks is replaced by the nearest; a path that is no text keeps its bytes where that is possible.
     """
     codecs.register_error(_ERRORS, _plain)
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
@@ -62,27 +53,20 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]
-    return "".join(_PLAIN.get(c) or _without_accent(c) for c in found), error.end
-
-
-def _without_accent(character: str) -> str:
-    bare = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode("ascii")
-    return bare or "?"
+    bare = (unicodedata.normalize("NFKD", c).encode("ascii", "ignore").decode() for c in found)
+    return "".join(_PLAIN.get(c) or b or "?" for c, b in zip(found, bare, strict=True)), error.end
 
 
 def is_output_lost() -> bool:
-    """Whether the reader of standard output or error went away: a closed pipe or terminal."""
-    listening = select.poll()
+    """Return whether standard output or error is a closed pipe or terminal."""
+    streams = select.poll()
     for number in (1, 2):
-        listening.register(number, 0)
-    return bool(listening.poll(0))
+        streams.register(number, 0)
+    return bool(streams.poll(0))
 
 
 def flush_streams() -> None:
-    """Write what is left in standard output and error, or drop it where nobody reads it.
-
-    Python tries it once more at its end, with a traceback.
-    """
+    """Flush standard output and error, or drop their content: else Python prints a traceback."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

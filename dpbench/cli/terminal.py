@@ -9,7 +9,6 @@ import textwrap
 import webbrowser
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
@@ -22,17 +21,10 @@ if TYPE_CHECKING:
     from dpbench.report.table import Table as ReportTable
 
 WIDTH = 80
-"""Of a file or a pipe, and the most of prose on a terminal: longer lines are hard to read."""
-STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
-    ("faster", "better"), "green"
-)
-"""Colours of the words that a comparison is read for."""
-ENDING_STYLES = {
-    "answer": "bold green",
-    "solver": "bold green",
-    "next": "cyan",
-    "page": "bold",
-}
+"""Columns of a file or a pipe, and the most of prose on a terminal."""
+STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better": "green"}
+"""Colours of words in a comparison."""
+ENDING_STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan", "page": "bold"}
 """Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
 
@@ -43,14 +35,7 @@ def console() -> Console:
 
 
 def wrapped(text: str, *, first: str = "", others: str = "") -> str:
-    """Wrap a paragraph at 80 columns.
-
-    A path or a key stays whole, so that it can be copied.
-
-    Parameters
-    ----------
-    first : what the first line begins with; others : the same of the lines after it.
-    """
+    """Wrap a paragraph at 80 columns with these indents; a path or a key stays whole."""
     return textwrap.fill(
         text,
         WIDTH,
@@ -62,7 +47,7 @@ def wrapped(text: str, *, first: str = "", others: str = "") -> str:
 
 
 def say(lines: Iterable[str]) -> None:
-    """Print lines, each wrapped; what goes on is set in by two columns."""
+    """Print lines, each wrapped with a hanging indent of two columns."""
     for line in lines:
         print(line if len(line) <= WIDTH else wrapped(line, others="  "))
 
@@ -73,7 +58,7 @@ def entry(head: str, paragraphs: Iterable[str]) -> str:
 
 
 def plain(text: str) -> Text:
-    """Text as it is: no markup, no colour, its own line ends."""
+    """Make text without markup and colour, with its own line ends."""
     return Text(text, no_wrap=True, overflow="ignore")
 
 
@@ -86,7 +71,7 @@ def small_table(*columns: str) -> Table:
 
 
 def report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """Show a table of the report with its note; row by row as text where it does not fit."""
+    """Make a table of the report with its note; row by row as text where it does not fit."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -112,46 +97,33 @@ def _row_by_row(table: ReportTable) -> Text:
         )
         for row in table.rows
     ]
-    said = plain("\n".join([table.title, *rows, wrapped(table.note)]))
+    text = plain("\n".join([table.title, *rows, wrapped(table.note)]))
     for word, style in STYLES.items():
-        said.highlight_words([f" {word}"], style)
-    return said
+        text.highlight_words([f" {word}"], style)
+    return text
 
 
 def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
-    """Print what a run or report ends with.
-
-    Parameters
-    ----------
-    rows : what each line is about, and the line.
-    arguments : with `json`, `quiet` and `open`.
-    """
+    """Print the end of a run or report: rows of (head, text), as JSON, or the page alone."""
     if arguments.json:
         print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
     elif arguments.quiet:
         print(page)
     else:
-        _print_table([*rows, ("page", str(page))])
+        screen = console()
+        screen.width = min(screen.width, WIDTH)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True)
+        table.add_column(overflow="fold")
+        for head, text in [*rows, ("page", str(page))]:
+            table.add_row(Text(head, "dim"), Text(text, ENDING_STYLES.get(head, "")))
+        screen.print(table)
     if arguments.open:
         webbrowser.open(page.resolve().as_uri())
 
 
-def _print_table(rows: list[tuple[str, str]]) -> None:
-    screen = console()
-    screen.width = min(screen.width, WIDTH)
-    table = Table.grid(padding=(0, 2))
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for what, said in rows:
-        table.add_row(Text(what, "dim"), Text(said, ENDING_STYLES.get(what, "")))
-    screen.print(table)
-
-
 class Bar:
-    """A progress bar with the time left, fed by the campaign.
-
-    A transient one leaves no line, a quiet one shows nothing.
-    """
+    """A progress bar with the time left; a transient one leaves no line, a quiet one no trace."""
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -170,22 +142,17 @@ class Bar:
     def __enter__(self) -> Bar:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._progress.live.is_started:
             self._progress.stop()
 
     def start(self, work: int) -> None:
-        """So much is to be done; until now the input could still be refused, without a bar."""
+        """Show the bar, with the amount of work; before, bad input ends without a bar."""
         self._progress.start()
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """Print a line above the bar; on standard error where there is none, unless it is quiet."""
+        """Print a line above the bar, or on standard error without one, unless it is quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
@@ -196,11 +163,11 @@ class Bar:
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:
-        """So much is done now, the last of it on `what`."""
+        """Add work that is done, the last of it on `what`."""
         self._progress.update(self._task, advance=work, description=what[:44])
 
 
 def _can_erase() -> bool:
-    """Whether standard output is a terminal that can take back what was printed."""
+    """Return whether standard output is a terminal that can erase a line."""
     console = Console()
     return console.is_terminal and not console.is_dumb_terminal

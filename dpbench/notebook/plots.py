@@ -1,4 +1,4 @@
-"""The figures of the page for runs in memory; Altair is imported when the first is asked for."""
+"""The figures of the page for runs in memory; Altair is imported with the first."""
 
 from __future__ import annotations
 
@@ -12,19 +12,16 @@ from dpbench.scenario.scenario import Scenario
 
 
 class JudgedRun(Protocol):
-    """What is drawn of a run; the fields of `runs.Run`."""
+    """The fields of `runs.Run` that figures need."""
 
     @property
-    def label(self) -> str:
-        """The solver, and its call mode."""
+    def label(self) -> str: ...  # noqa: D102
 
     @property
-    def steps(self) -> pd.DataFrame:
-        """A row for each answer, with the columns of steps.parquet."""
+    def steps(self) -> pd.DataFrame: ...  # noqa: D102
 
     @property
-    def scenario(self) -> Scenario | None:
-        """What the ship was steered through; None of a replay."""
+    def scenario(self) -> Scenario | None: ...  # noqa: D102
 
 
 class RunPlots:
@@ -41,7 +38,7 @@ class RunPlots:
         return "<figures: steps()" + (", ship(), errors()>" if self._run.scenario else ">")
 
     def steps(self) -> Any:
-        """Step time, error of the first move, iterations and forces over the steps."""
+        """Draw step time, error of the first move, iterations and forces over the steps."""
         from dpbench.analysis.verdict.requirements import Requirements
         from dpbench.report.charts.steps import strips
 
@@ -51,32 +48,20 @@ class RunPlots:
     def ship(self, *others: JudgedRun) -> Any:
         """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
-        Raises
-        ------
-        InputError : for a replay, which has no ship, or runs of two scenarios.
+        Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
         from dpbench.report.charts.ship import path
 
-        scenario = self._scenario(others)
-        return path(_laws((self._run, *others)), scenario)
+        return path(_laws((self._run, *others)), self._scenario(others))
 
     def errors(self, *others: JudgedRun) -> Any:
-        """North, east, heading and radial error of the ship against time (Fig. 5 of the paper).
-
-        Raises
-        ------
-        InputError : as `ship`.
-        """
+        """Draw north, east, heading and radial error (Fig. 5 of the paper), as `ship`."""
         from dpbench.report.charts.ship import precision
 
-        scenario = self._scenario(others)
-        return precision(_laws((self._run, *others)), scenario)
+        return precision(_laws((self._run, *others)), self._scenario(others))
 
     def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """Return the scenario of this run.
-
-        All others have the same, but for its length.
-        """
+        """Return the scenario of all runs; InputError for a replay and for different ones."""
         scenario = self._run.scenario
         for run in (self._run, *others):
             if run.scenario is None or scenario is None:
@@ -89,7 +74,7 @@ class RunPlots:
 
 
 def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """Convert the runs to laws of a figure, those of one name numbered."""
+    """Convert the runs to laws of a figure, numbered where names are equal."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
@@ -101,7 +86,7 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """Make the rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
+    """Make the rows of `charts.strips`, one per step; times in µs, the largest of a replay."""
     from dpbench.analysis.records.run_steps import counting_of, run_steps
     from dpbench.report.charts.steps import NO_ANSWER
 
@@ -120,7 +105,7 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def _forces_of(run: JudgedRun) -> pd.DataFrame:
-    """Return the forces of a closed loop as shares of their limits; no row of a replay."""
+    """Return the forces of a closed loop as shares of their limits; no rows for a replay."""
     from dpbench.analysis.records.kept_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 

@@ -1,4 +1,4 @@
-"""A result folder in memory, with everything that the report finds in it as data frames."""
+"""A result folder in memory, with the tables of the report as data frames."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(result_folder.Results):
-    """A result folder: its tables `runs` and `steps`, `machine`, `suite`, and what follows.
+    """A result folder: its tables `runs` and `steps`, `machine`, `suite`, and those of the report.
 
-    What follows is made when it is first asked for, from the tables alone, and is what
-    `dpbench report` writes into `tables/`.
+    The report's are made at first use, and are what `dpbench report` writes into `tables/`.
     """
 
     folder: Path
 
     @property
     def answer(self) -> str:
-        """What the page answers: which configuration to use and why, or what the suite asks."""
+        """The answer of the page: the recommended configuration, or the question of the suite."""
         rows = self._report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
@@ -61,7 +60,7 @@ class Results(result_folder.Results):
         return self.tables["ladder"]
 
     def paired_ratios(self) -> pd.DataFrame:
-        """How many times as long each of those takes as the fastest, on the same steps.
+        """Return the ratios of step times to those of the fastest, on the same steps.
 
         `low` and `high` bound the mean ratio, 0 and inf where the steps are too few to tell;
         `tied` where they include 1; `unstable` where another yardstick names another leader.

@@ -54,8 +54,8 @@ class Run:
     Parameters
     ----------
     steps : a row for each answer, with the columns of steps.parquet.
-    summary : what they amount to, with the columns of runs.parquet.
-    scenario : what the ship was steered through; None of a replay, which has no ship.
+    summary : its row of runs.parquet.
+    scenario : of a closed loop; None of a replay, which has no ship.
     """
 
     steps: pd.DataFrame
@@ -64,12 +64,12 @@ class Run:
 
     @property
     def label(self) -> str:
-        """The solver, and its call mode."""
+        """Solver and call mode."""
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property
     def remembers(self) -> bool:
-        """Whether the times of a replay are those of remembered answers, not of solving."""
+        """True where the times of a replay are those of cached answers, not of solving."""
         row = self.summary
         excess = float(row["first_visit_excess"])
         return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)
@@ -221,13 +221,8 @@ def _check_workspace(workspace: object, formulation: str) -> None:
 
 def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
     """Make the cell of a run of a workspace, whose settings have no name."""
-    return Cell(
-        solver=workspace.solver,
-        route=workspace.route,
-        policy=workspace.policy,
-        settings="",
-        **fields,
-    )
+    route, policy = workspace.route, workspace.policy
+    return Cell(solver=workspace.solver, route=route, policy=policy, settings="", **fields)
 
 
 def _run(

@@ -1,4 +1,4 @@
-"""Hulls from other people's files: a vessel structure of the MSS toolbox, a table of coefficients.
+"""Hulls from files: a vessel structure of the MSS toolbox, or a table of coefficients.
 
 **MSS** (Fossen & Perez, Marine Systems Simulator): a `.mat` file with a structure `vessel`, made by
 its `veres2vessel` or `wamit2vessel`. Surge, sway and yaw are rows and columns 1, 2 and 6. The ship
@@ -38,7 +38,7 @@ _Fields = Mapping[str, NDArray[Any]]
 _NOTHING = np.zeros(0)
 _SURGE_SWAY_YAW = np.ix_([0, 1, 5], [0, 1, 5])
 NEXT_DIFFERS = 0.1
-"""From here on it is said how far off the added mass at the next frequency is."""
+"""Relative change of the added mass to the next frequency from which on there is a remark."""
 
 PARTICULARS = ("length_m", "breadth_m", "draught_m", "displacement_t")
 REQUIRED = ("M11", "M22", "M66", "D11", "D22", "D66")
@@ -47,13 +47,7 @@ COUPLINGS = ("M26", "D26", "D62")
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """What a file says of a hull.
-
-    Parameters
-    ----------
-    M, D : (3, 3) inertia and damping [SI]. particulars : those of `PARTICULARS` that it has.
-    method : how they were made, a sentence. remarks : what the reader of the ship has to know.
-    """
+    """Inertia and damping M, D (3, 3) [SI] of a file, and those of `PARTICULARS` that it has."""
 
     M: Matrix
     D: Matrix
@@ -63,12 +57,7 @@ class Hull:
 
 
 def read_mss(path: Path) -> Hull:
-    """The hull of a vessel structure of the MSS toolbox.
-
-    Raises
-    ------
-    InputError : naming file, field, what was found and what is allowed.
-    """
+    """Read the hull of a vessel structure of the MSS toolbox; InputError for one that is unfit."""
     vessel = _structure(path)
     rigid = _field(vessel, path, "MRB")
     omega = np.atleast_1d(_field(vessel, path, "freqs")).ravel()
@@ -85,10 +74,10 @@ def read_mss(path: Path) -> Hull:
         here, there = (np.diag(added[k][_SURGE_SWAY_YAW]) for k in (lowest, others[0]))
         ratios = there / here
         if (np.abs(ratios - 1.0) > NEXT_DIFFERS).any():
-            said = ", ".join(f"{ratio:.2f}" for ratio in ratios)
+            texts = ", ".join(f"{ratio:.2f}" for ratio in ratios)
             remarks.append(
                 f"At the next frequency, {omega[others[0]]:.3g} rad/s, the added mass of surge, "
-                f"sway, yaw is {said} times that at {first}: strip theory may be weak there."
+                f"sway, yaw is {texts} times that at {first}: strip theory may be weak there."
             )
     method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
     return Hull(M, D, _main(vessel), method, remarks)
@@ -114,7 +103,7 @@ def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
 
 
 def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
-    """A field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
+    """Return a field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
     array = _field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
     array = array[:, :, np.newaxis] if array.ndim == 2 else array
@@ -126,7 +115,7 @@ def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matri
 
 
 def _viscous(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
-    """Bv at each frequency; one matrix stands for all, and potential damping alone is refused."""
+    """Return Bv at each frequency, from one matrix or several; InputError where there is none."""
     if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
@@ -136,7 +125,7 @@ def _viscous(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
 
 
 def _main(vessel: _Fields) -> dict[str, float]:
-    """The particulars of `vessel.main`, as far as it has them as numbers above zero."""
+    """Return those particulars of `vessel.main` that are numbers above zero."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
     numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}
@@ -148,12 +137,7 @@ def _main(vessel: _Fields) -> dict[str, float]:
 
 
 def read_table(path: Path) -> Hull:
-    """The hull of a table of coefficients.
-
-    Raises
-    ------
-    InputError : naming file, coefficient, what was found and what is allowed.
-    """
+    """Read the hull of a table of coefficients; InputError for one that is unfit."""
     values = _values(path)
     for name in REQUIRED:
         if name not in values:
@@ -191,7 +175,7 @@ def _values(path: Path) -> dict[str, float]:
 
 
 def _number(path: Path, name: str, text: str) -> float:
-    """A finite number; all but couplings are above zero."""
+    """Parse a finite number; all but couplings are above zero."""
     try:
         value = float(text)
     except ValueError:

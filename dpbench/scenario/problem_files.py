@@ -1,8 +1,4 @@
-"""Find and read the TOML files under `problems/`, and say in one line what is wrong with one.
-
-A name resolves among the files that ship with the package; anything that looks like a path is
-taken as a path, so an engineer's own files need no installation.
-"""
+"""Find, read and validate the TOML files under `problems/`, and others by their path."""
 
 from __future__ import annotations
 
@@ -45,7 +41,7 @@ class VesselDocuments(TypedDict, total=False):
 
 
 class ScenarioDocuments(VesselDocuments, total=False):
-    """What a scenario is made from: its file, that of its vessel, and its name."""
+    """The files of a scenario and of its vessel as plain values, and their names."""
 
     name: str
     scenario: dict[str, Any]
@@ -61,11 +57,10 @@ class FileModel(BaseModel):
     """Old names of keys that are refused, with what they are called now."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset()
-    """Keys that came later: at their default they are not written, so that documents of before stay
-    equal, byte for byte."""
+    """Newer keys, not written at their default: older documents stay equal byte for byte."""
 
     @model_serializer(mode="wrap")
-    def _later_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+    def _write_without_later(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
         table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
@@ -77,24 +72,21 @@ class FileModel(BaseModel):
 
 
 def problems_root() -> Path:
-    """The folder of the shipped problems: inside an installed wheel, beside the package else."""
+    """Return the folder of the shipped problems, in an installed wheel or beside the package."""
     installed = _PACKAGE / "problems"
     return installed if installed.is_dir() else _PACKAGE.parent / "problems"
 
 
 def problem_names(kind: str) -> list[str]:
-    """The names a person may use for vessels, scenarios, suites or sequences."""
+    """List the names of the shipped vessels, scenarios, suites or sequences."""
     suffix = ".npz" if kind == SEQUENCES else ".toml"
     return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
 
 
 def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
-    """The file of a name or path; a relative path is looked for beside `beside` first.
+    """Find the file of a name or path; a relative path is looked for in `beside` first.
 
-    Raises
-    ------
-    UnknownNameError : with the nearest names, when there is no such name.
-    InputError : when it looks like a path and no such file exists.
+    Raises UnknownNameError, with the nearest names, for a name, and InputError for a path.
     """
     text = str(name)
     if (kind, text) in OLD_NAMES:
@@ -114,13 +106,9 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
 
 
 def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """The file of a stored sequence by name; else the path, looked for beside `beside` first.
+    """Find the file of a stored sequence by name, else the path, which may not exist.
 
-    Nothing is said of a path that does not exist: reading it does that.
-
-    Raises
-    ------
-    UnknownNameError : for what looks like a name, when there is no such name and no such folder.
+    Raises UnknownNameError for a name that is neither a stored sequence nor a folder.
     """
     text = str(name_or_path)
     if is_stored(text):
@@ -135,22 +123,19 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
 
 def is_stored(name: str | Path) -> bool:
-    """Whether a sequence of this name ships with the package."""
+    """Return whether a sequence of this name ships with the package."""
     return str(name) in problem_names(SEQUENCES)
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """The error of a name that no file of its kind has, with the nearest names.
-
-    `otherwise` is what could stand there instead of a name.
-    """
+    """Make the error of an unknown name; `otherwise` is what is allowed instead of a name."""
     allowed = one_of(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The TOML document at `path`; InputError when it cannot be read or parsed."""
+    """Read the TOML document at `path`; InputError when it cannot be read or parsed."""
     where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
         text = content.decode("utf-8-sig")
@@ -171,12 +156,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_model(path: Path, model: type[_Model]) -> _Model:
-    """The document at `path` as a `model`; InputError naming file, key, found and allowed."""
+    """Read the document at `path` as a `model`; InputError naming file, key, found and allowed."""
     return parse_model(read_toml(path), model, str(path))
 
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """`document` as a `model`; `where` names it in errors."""
+    """Validate `document` as a `model`; `where` names it in errors."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
             renamed(where, old, new)
@@ -185,7 +170,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         return model.model_validate(document)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        # A misspelled required key is both missing and unknown; the second says more.
+        # A misspelled required key is both missing and unknown; the second helps more.
         first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
@@ -198,12 +183,12 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
             raise InputError(where, key, "nothing", "this key is required") from error
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
         value = first["input"]
-        stands = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
-        raise InputError(where, key, stands, message) from error
+        found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
+        raise InputError(where, key, found, message) from error
 
 
 def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
-    """Field names of the table that `keys` leads to."""
+    """Return the field names of the table that `keys` leads to."""
     current: Any = model
     for key in keys:
         field = current.model_fields.get(key) if hasattr(current, "model_fields") else None

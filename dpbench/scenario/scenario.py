@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,9 +17,10 @@ from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, reference_table
 from dpbench.scenario.controllers.controller import Controller
-from dpbench.scenario.controllers.kinds import CONTROLLERS
+from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
-from dpbench.scenario.estimation import EstimatorChoice, estimator_choice
+from dpbench.scenario.controllers.thrusters import CascadeController, ThrusterController
+from dpbench.scenario.estimation import EstimatorChoice, choose_estimator
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -37,6 +39,13 @@ from dpbench.ship.vessel import Vessel
 MAX_STEPS = 1_000_000
 """A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
 
+CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
+    "forces": ForceController.of,
+    "thrusters": ThrusterController.of,
+    "cascade": CascadeController.of,
+}
+"""By `controller.kind`; each raises InputError for a vessel or faults that do not fit it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
@@ -44,16 +53,14 @@ class Scenario:
 
     Parameters
     ----------
-    name : name of the file; title, shows : what it is and what it is for.
-    vessel : the ship as the controller knows it; true_ship : as it is; actuators : what is lost or
-        late on the way from a command to its hull, None for nothing.
-    environment : the weather; estimation : how the controller gets to know its state.
-    steps, sample_s : how many samples of what length [s].
+    vessel, true_ship : the ship in the controller's model, and the true one.
+    actuators : losses and delays between a command and the hull; None for nothing.
+    estimation : the estimator of the ship's state.
+    steps, sample_s : number and length [s] of samples.
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
-    controller : what steers the ship: its QPs, its limits, what it commands.
-    files : the documents it was made from, from which `scenario_of` makes it again.
+    files : the documents from which `scenario_of` makes it again.
     """
 
     name: str
@@ -97,7 +104,7 @@ class Scenario:
 
     @property
     def problem(self) -> ControlProblem:
-        """What the controller wants and may do: model, horizons, weights, limits in SI."""
+        """The control problem: model, horizons, weights, limits in SI."""
         return self.controller.problem
 
     @property
@@ -111,24 +118,24 @@ class Scenario:
         return np.concatenate([self.velocity, self.start])
 
     def reference_table(self, samples: int) -> Matrix:
-        """The reference at each sample (samples, 3), heading unwrapped from the start's."""
+        """Tabulate the reference (samples, 3), heading unwrapped from the start's."""
         return reference_table(self.start, self.reference, samples, self.sample_s, self.smoothed)
 
     def estimator(self) -> Estimator:
-        """A new estimator, which starts in the state the run starts in."""
+        """Make an estimator, started in the state of the first sample."""
         estimator = self.estimation.make(self.vessel, self.sample_s)
         estimator.start(self.first_state)
         return estimator
 
     def first(self, steps: int) -> Scenario:
-        """The same run cut to its first `steps` samples; InputError below 1."""
+        """Return the run cut to its first `steps` samples; InputError below 1."""
         if steps < 1:
             raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")
         return replace(self, steps=min(steps, self.steps))
 
 
 def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
-    """A scenario by name (a file under `problems/scenarios/`) or TOML path.
+    """Load a scenario by name (a file under `problems/scenarios/`) or TOML path.
 
     `scenario@vessel` is the scenario with another vessel than its own. A relative path is looked
     for in the folder `beside` first, then in the working folder.
@@ -154,26 +161,26 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
-    """A vessel by name (a file under `problems/vessels/`) or TOML path."""
+    """Load a vessel by name (a file under `problems/vessels/`) or TOML path."""
     path = problem_path("vessels", name_or_path)
     return read_model(path, VesselFile).vessel(path.stem, str(path))
 
 
 def vessel_files(name_or_path: str | Path, *, beside: Path | None = None) -> VesselDocuments:
-    """What of `Scenario.files` is the vessel's; a relative path as in `load_scenario`."""
+    """Read the vessel's part of `Scenario.files`; a relative path as in `load_scenario`."""
     path = problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
 
 
 def vessel_of(files: VesselDocuments, where: str = "vessel") -> Vessel:
-    """The vessel of such documents."""
+    """Make the vessel of such documents."""
     return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
 
 
 def scenario_of(
     files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
-    """The scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
+    """Make the scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
     spec = parse_model(files["scenario"], ScenarioFile, where)
     ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
     vessel = ship_file.vessel(files["vessel_name"], vessel_where)
@@ -189,7 +196,7 @@ def scenario_of(
     environment = spec.environment.environment(scale)
     made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
     controller = CONTROLLERS[spec.controller.kind](made_from)
-    # Said here, before anything runs: wind and drift need to know the hull.
+    # An error before anything runs: wind and drift need data of the hull.
     environment.load_coefficients(vessel)
     return Scenario(
         name=files["name"],
@@ -199,7 +206,7 @@ def scenario_of(
         true_ship=true_ship,
         actuators=_actuators(spec, controller, sample_s, scale),
         environment=environment,
-        estimation=estimator_choice(spec, scale, where),
+        estimation=choose_estimator(spec, scale, where),
         steps=spec.steps,
         sample_s=sample_s,
         start=spec.start.pose() * scale.pose,
@@ -213,19 +220,18 @@ def scenario_of(
 
 
 def scenario_once(files: ScenarioDocuments) -> Scenario:
-    """As `scenario_of`, for documents of which many cells ask the same: made once a process, in
-    whatever seas."""
+    """Make a scenario once a process, whatever the seed of its weather."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
-        return _made(json.dumps(files, sort_keys=True))
+        return _cached_scenario(json.dumps(files, sort_keys=True))
     calm = {**files, "scenario": {**files["scenario"], "environment": {**weather, "seed": 0}}}
-    scenario = _made(json.dumps(calm, sort_keys=True))
+    scenario = _cached_scenario(json.dumps(calm, sort_keys=True))
     sea = replace(scenario.environment, seed=weather["seed"])
     return replace(scenario, environment=sea, files=files)
 
 
 @lru_cache(maxsize=64)
-def _made(files: str) -> Scenario:
+def _cached_scenario(files: str) -> Scenario:
     return scenario_of(json.loads(files))
 
 
@@ -235,15 +241,13 @@ def _actuators(
     """Return what is between commands and the hull; None for nothing."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
-    behind = Actuators(1.0 - loss / 100.0, plant.delay_samples)
+    losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
     if controller.commanded is not None:
         lag_s = plant.thruster_lag_s * scale.time
-        return CommandedThrusters(controller.commanded.thrusters, sample_s, lag_s, behind)
-    if not loss.any() and plant.delay_samples == 0:
-        return None
-    return behind
+        return CommandedThrusters(controller.commanded.thrusters, sample_s, lag_s, losses)
+    return losses if loss.any() or plant.delay_samples else None
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
-    """The builder of the scenario's QPs, in scaled units or SI."""
+    """Make the builder of the scenario's QPs, in scaled units or SI."""
     return scenario.controller.build_qp(units)

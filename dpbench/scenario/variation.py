@@ -27,16 +27,10 @@ _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 def varied(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
-    """The scenario with other values of some keys, under its own name.
+    """Return the scenario with other values of some keys, under its own name.
 
-    Parameters
-    ----------
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
-
-    Raises
-    ------
-    InputError : for a key that its files do not have, or a value that cannot be there.
     """
     files = varied_files(scenario.files, values, where, beside=beside)
     return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
@@ -49,7 +43,7 @@ def varied_files(
     *,
     beside: Path | None = None,
 ) -> ScenarioDocuments:
-    """The documents of `varied`; whether they make a scenario is not looked at."""
+    """Return the documents of `varied`, without validating the scenario."""
     changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
@@ -59,31 +53,31 @@ def varied_files(
             parts = key.split(".")
             file = "vessel" if parts[0] == VESSEL else "scenario"
             path_in_file = parts[1:] if file == "vessel" else parts
-            changed[file] = _with(changed[file], path_in_file, value, f"{where}: {key}")
+            changed[file] = _replace_value(changed[file], path_in_file, value, f"{where}: {key}")
     return cast(ScenarioDocuments, changed)
 
 
 def value_of(scenario: Scenario, key: str, where: str) -> object:
-    """The scenario's own value of a key; InputError, naming `where`, for one that it has not."""
+    """Return the scenario's own value of a key; InputError, naming `where`, without it."""
     if key == VESSEL:
         return scenario.files["vessel_name"]
     parts = key.split(".")
     at = scenario.files["vessel" if parts[0] == VESSEL else "scenario"]
     for part in parts[1:] if parts[0] == VESSEL else parts:
-        at = at[_place(at, part, f"{where}: {key}")]
+        at = at[_find_index(at, part, f"{where}: {key}")]
     return at
 
 
-def _with(table: Any, parts: list[str], value: object, where: str) -> Any:
-    """A copy of a table with one of its values replaced; what is not on the way is shared."""
-    place = _place(table, parts[0], where)
+def _replace_value(table: Any, parts: list[str], value: object, where: str) -> Any:
+    """Copy a table with one of its values replaced; other tables in it are shared."""
+    place = _find_index(table, parts[0], where)
     changed = table.copy()
-    changed[place] = _with(table[place], parts[1:], value, where) if parts[1:] else value
+    changed[place] = _replace_value(table[place], parts[1:], value, where) if parts[1:] else value
     return changed
 
 
-def _place(table: Any, part: str, where: str) -> Any:
-    """The key or index that `part` is in a table or list."""
+def _find_index(table: Any, part: str, where: str) -> Any:
+    """Return the key or index that `part` is in a table or list."""
     if isinstance(table, dict):
         if part in table:
             return part
@@ -92,12 +86,12 @@ def _place(table: Any, part: str, where: str) -> Any:
         if part.isdecimal() and int(part) < len(table):
             return int(part)
         raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
-    stands = "nothing" if table is None else "a value"
-    raise InputError(where, "", f"{stands} above {part!r}", "a key of a table of the scenario")
+    found = "nothing" if table is None else "a value"
+    raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
 
 
 def differ(one: Scenario, other: Scenario, steps: int) -> bool:
-    """Whether two runs of so many steps can differ: in weather, ship, controller or reference."""
+    """Return whether two runs can differ, in weather, ship, controller or reference."""
     return _behaviour(one, steps) != _behaviour(other, steps)
 
 

@@ -1,4 +1,4 @@
-"""What happens to a commanded force on its way to the hull: lost thrust and dead time.
+"""Lost thrust and dead time between a commanded force and the hull.
 
 τ_hull(k) = efficiency · τ(k − delay),   τ = 0 before the start
 """
@@ -16,31 +16,19 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Imperfect thrusters behind the controller's limits: those hold for the command τ.
-
-    Parameters
-    ----------
-    efficiency : (3,) share of the command that reaches the hull in surge, sway, yaw, 0 to 1.
-    delay_samples : whole samples between command and force.
-    """
+    """Imperfect thrusters; efficiency (3,) is the share of τ that reaches the hull, by axis."""
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
     def start(self) -> Thrust:
-        """Make the actuators of one run, at rest."""
+        """Start a run, at rest."""
         return Thrust(self)
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedThrusters:
-    """Thrusters whose forces the controller commands, with lag and losses.
-
-    Parameters
-    ----------
-    thrusters : those of the ship; sample_s : Δt [s]; lag_s : T [s], 0 for none.
-    behind : what is lost or late besides.
-    """
+    """Thrusters whose forces the controller commands, with a lag T [s], and losses behind them."""
 
     thrusters: ThrusterSet
     sample_s: float
@@ -48,21 +36,18 @@ class CommandedThrusters:
     behind: Actuators
 
     def start(self) -> ThrusterForces:
-        """Make the thrusters of one run, at rest."""
+        """Start a run, at rest."""
         return ThrusterForces(self)
 
 
-class Delayed:
+class DelayLine:
     """A ring of the commands still under way."""
 
     def __init__(self, samples: int, entries: int) -> None:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
-    def oldest(self, command: Vector) -> Vector:
-        """Return the command that arrives in this sample; a view.
-
-        `command` is given in this sample.
-        """
+    def push(self, command: Vector) -> Vector:
+        """Add the command given in this sample; return a view of the one that arrives."""
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
         # After the step the place to be written next holds the oldest command.
@@ -75,32 +60,24 @@ class Thrust:
 
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
-        self._late = Delayed(actuators.delay_samples, AXES)
+        self._delay = DelayLine(actuators.delay_samples, AXES)
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
-        """Return the force on the hull in this sample for the command tau (3,).
-
-        Valid until the next call.
-        """
-        np.multiply(self._efficiency, self._late.oldest(tau), out=self._delivered)
+        """Return the force on the hull (3,) for the command tau (3,), valid until the next call."""
+        np.multiply(self._efficiency, self._delay.push(tau), out=self._delivered)
         return self._delivered
 
 
 class ThrusterForces:
-    """The state of the thrusters in one run: what they give now, and the commands under way.
-
-    Attributes
-    ----------
-    f : (n_f,) their forces at the end of the last sample [N].
-    """
+    """The state of the thrusters in one run; f (n_f,) are their forces after a sample [N]."""
 
     def __init__(self, commanded: CommandedThrusters) -> None:
         thrusters, behind = commanded.thrusters, commanded.behind
         self.f = np.zeros(thrusters.n_f)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
         self._step_max = thrusters.step_max(commanded.sample_s)
-        self._late = Delayed(behind.delay_samples, thrusters.n_f)
+        self._delay = DelayLine(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
             for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
@@ -112,7 +89,7 @@ class ThrusterForces:
 
     def deliver(self, command: Vector) -> Vector:
         """Return the force on the hull (3,) in this sample for the command f (n_f,)."""
-        goal, f = self._late.oldest(command), self.f
+        goal, f = self._delay.push(command), self.f
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:
             size = float(np.sqrt((target[at] ** 2).sum()))

@@ -1,8 +1,7 @@
-"""What a ship is, in the numbers its master knows: time constants, reach, drift, force in weather.
+"""Time constants, speeds, drift and mean force in weather of the linear model of a ship.
 
-Each is of the linear model M ν̇ + D ν = τ + w at rest in its reference, order surge, sway, yaw.
-Speeds are those at which linear damping balances the force; it is meant for some cm/s, and a hull
-that drifts faster meets quadratic drag as well (Fossen 2021, chapter 6).
+M ν̇ + D ν = τ + w, order surge, sway, yaw. Speeds are those at which linear damping balances the
+force; it is meant for some cm/s, a faster hull meets quadratic drag too (Fossen 2021, chapter 6).
 """
 
 from __future__ import annotations
@@ -18,15 +17,14 @@ from dpbench.ship.weather.waves import GRAVITY
 
 SWAY = 1
 SLOW_FROUDE_NUMBER = 0.2
-"""Beyond it linear damping says nothing of a hull: waves of its own making take over."""
+"""Beyond it waves of the hull's own making take over from linear damping."""
 
 
 def axis_time_constants_s(vessel: Vessel) -> Vector:
-    """Time constants of surge, sway and yaw: (3,) [s].
+    """Return the time constants of surge, sway and yaw: (3,) [s].
 
-    1 over the real parts of the eigenvalues of M⁻¹D, each given to the axis that takes the largest
-    part in its mode: the moduli of left times right eigenvectors, entry by entry (participation
-    factors, Kundur 1994, chapter 12), assigned so that their sum is largest.
+    1 over the real parts of the eigenvalues of M⁻¹D, assigned to axes by participation factors
+    (Kundur 1994, chapter 12) so that their sum is largest.
     """
     rates, right = np.linalg.eig(np.linalg.solve(vessel.M, vessel.D))
     participation = np.abs(right * np.linalg.inv(right).T)
@@ -37,15 +35,12 @@ def axis_time_constants_s(vessel: Vessel) -> Vector:
 
 
 def steady_speed(vessel: Vessel) -> Matrix:
-    """Return the speeds at which damping balances the full forces, the other axes held.
-
-    (2, 3) [m/s, m/s, rad/s]: astern, port, port; ahead, starboard, starboard.
-    """
+    """Return the speeds at which damping balances the least and largest forces: (2, 3) [SI]."""
     return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
 
 
 def slow_speed(vessel: Vessel) -> Vector:
-    """Speeds up to which a number of the linear model is worth saying: (3,) [m/s, m/s, rad/s].
+    """Return the speeds up to which the linear model holds: (3,) [m/s, m/s, rad/s].
 
     Fr √(gL) along both axes, and that of bow and stern in a turn.
     """
@@ -54,33 +49,30 @@ def slow_speed(vessel: Vessel) -> Vector:
 
 
 def sideways_force(vessel: Vessel) -> Vector:
-    """Force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s, or moves it so."""
+    """Return the force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s."""
     force: Vector = vessel.D[:, SWAY].copy()
     return force
 
 
 def largest_current_abeam_mps(vessel: Vessel) -> float:
-    """Return the current abeam [m/s] that the weaker side of the limits of all axes balances."""
+    """Return the largest current abeam [m/s] that the limits of all axes balance on both sides."""
     reach = np.minimum(-vessel.tau_min, vessel.tau_max)
     per_mps = np.abs(sideways_force(vessel))
     return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
 
 
 def has_mirror_symmetry(vessel: Vessel) -> bool:
-    """Whether port mirrors starboard: surge uncoupled, limits of sway and yaw as far either way."""
+    """Return whether surge is uncoupled and the limits of sway and yaw are symmetric."""
     across = np.concatenate([vessel.M[0, 1:], vessel.M[1:, 0], vessel.D[0, 1:], vessel.D[1:, 0]])
     return not across.any() and np.array_equal(vessel.tau_min[1:], -vessel.tau_max[1:])
 
 
 def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) -> Vector:
-    """Mean force of the weather on the ship at rest, along its axes: (3,) [N, N, N·m].
+    """Return the mean force of the weather but squalls on the ship at rest: (3,) [N, N, N·m].
 
-    The mean of the slow forces, of the wind without gusts, of the current through D, and of the
-    drift, whose squared envelope has the mean Hs²/8. Squalls are left out.
+    The squared envelope of the drift has the mean Hs²/8.
 
-    Raises
-    ------
-    InputError : the weather has wind or drift and the vessel no hull data for it.
+    Raises InputError where the weather has wind or drift and the vessel no hull data for it.
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     load = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ weather.mean

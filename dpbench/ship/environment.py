@@ -1,4 +1,4 @@
-"""The weather of a run: everything that pushes the ship or disturbs its measurement.
+"""The weather of a run, and the noise of its measurement.
 
     b(t) = g(t) · (mean + amplitude · sin(2πt/T + phase)) + squalls,   g(t) = min(t / ramp, 1)
 
@@ -30,10 +30,8 @@ from dpbench.ship.layout import (
     WAVE,
     WIND_U,
 )
-from dpbench.ship.sensors import SensorNoise
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
+from dpbench.ship.weather.harmonics import random_stream
 from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
@@ -42,17 +40,66 @@ Drawn = dict[str, Matrix]
 
 
 @dataclass(frozen=True, eq=False)
-class Environment:
-    """Slow forces, and whatever else of the weather there is.
+class Squall:
+    """A force added to the slow forces, that rises, stays and decays along straight lines.
 
-    Parameters
-    ----------
-    mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m].
-    period_s : (3,) periods [s], positive.
-    phase_rad : (3,) phases [rad].
-    ramp_s : time over which the weather grows from zero [s]; 0 for none. Squalls have their own.
-    squalls, wind, current, drift : what else pushes the ship.
-    motion, noise : what the measurement shows beside the ship's low-frequency motion.
+    start_s, rise_s : it grows from zero at start_s to the full force at start_s + rise_s [s].
+    hold_until_s, decay_s : it stays until hold_until_s and is gone decay_s later [s].
+    force : (3,) full force, north, east, yaw [N, N, N·m].
+    """
+
+    start_s: float
+    rise_s: float
+    hold_until_s: float
+    decay_s: float
+    force: Vector
+
+    def at(self, t_s: ArrayLike) -> Matrix:
+        """Return the force at the times t_s (...,): (..., 3) [N, N, N·m]."""
+        end_s = self.hold_until_s + self.decay_s
+        corners = [self.start_s, self.start_s + self.rise_s, self.hold_until_s, end_s]
+        share = np.interp(np.asarray(t_s, dtype=np.float64), corners, [0.0, 1.0, 1.0, 0.0])
+        return np.multiply.outer(share, self.force)
+
+
+@dataclass(frozen=True)
+class Current:
+    """A steady irrotational current of V_c = speed_mps that sets *to* β = to_rad from north.
+
+        M ν̇ + D (ν − ν_c) = τ + …,   ν_c = R(ψ)ᵀ [V_c cos β, V_c sin β, 0]
+
+    D is meant for low relative speed; the term of added mass in ν̇_c, which only a turning ship
+    meets, is left out with the Coriolis terms that the paper leaves out (eq. 4).
+    """
+
+    speed_mps: float
+    to_rad: float
+
+    @property
+    def velocity(self) -> Vector:
+        """(2,) north and east [m/s]."""
+        return self.speed_mps * np.array([np.cos(self.to_rad), np.sin(self.to_rad)])
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """White Gaussian noise on the measured pose, one draw per sample; std (3,) [m, m, rad]."""
+
+    std: Vector
+
+    def table(self, samples: int, seed: int) -> Matrix:
+        """Draw the noise (samples, 3) [m, m, rad]; a longer table begins with the shorter one."""
+        stream = random_stream(seed, "noise")
+        return np.asarray(self.std * stream.standard_normal((samples, AXES)))
+
+
+@dataclass(frozen=True, eq=False)
+class Environment:
+    """The weather of a run.
+
+    mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m], of periods and phases (3,).
+    ramp_s : time over which all but squalls grows from zero [s]; 0 for none.
+    motion, noise : what the measurement shows besides the ship's low-frequency motion.
     seed : of all random sources; each draws from its own stream of it.
     """
 
@@ -70,13 +117,13 @@ class Environment:
     seed: int = 0
 
     @property
-    def moves_with_the_ship(self) -> bool:
-        """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
+    def depends_on_ship(self) -> bool:
+        """True where a load depends on the ship's velocity or heading: wind, current or drift."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
     def draws(self) -> bool:
-        """Whether anything of it is drawn at random, so that the seed matters."""
+        """True where any of it is random, so that the seed matters."""
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
@@ -91,10 +138,7 @@ class Environment:
         return b
 
     def drawn(self, steps: int, sample_s: float, substeps: int) -> Drawn:
-        """Sum up the harmonics of the stage table, which takes most of its time.
-
-        Wind speed and wave height, (steps, 2·substeps + 1) each; nothing of weather without them.
-        """
+        """Sum up the harmonics of wind speed and wave height: (steps, 2·substeps + 1) each."""
         start, offset = _stages(steps, sample_s, substeps)
         drawn: Drawn = {}
         if self.wind is not None:
@@ -109,18 +153,13 @@ class Environment:
         """Tabulate the weather at Runge-Kutta 4 stages: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
-        entry the end of the sample. The columns are those of `layout`: b, and where wind, current
-        or drift are present the velocities of air and water and the wave envelope
-        [m/s, m/s, m].
-
-        Parameters
-        ----------
-        drawn : of as many steps or more, where it is known.
+        entry the end of the sample; the columns are those of `layout`. `drawn` saves summing up
+        the harmonics; it may be of more steps.
         """
         start, offset = _stages(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
         b = np.ascontiguousarray(self.force(t))
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return b
         drawn = self.drawn(steps, sample_s, substeps) if drawn is None else drawn
         table = np.zeros((*t.shape, LOADED))
@@ -136,17 +175,11 @@ class Environment:
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
-        """Return the hull's coefficients of wind and drift: (6,), zero where there is none.
+        """Return the hull's coefficients of wind and drift (6,); None for a table of 3 columns.
 
-        Returns
-        -------
-        None where nothing moves with the ship; the stage table then has 3 columns.
-
-        Raises
-        ------
-        InputError : the weather has wind or drift and the vessel no hull data for it.
+        Raises InputError where the weather has wind or drift and the vessel no hull data for it.
         """
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return None
         coefficients = np.zeros(COEFFICIENTS)
         if self.wind is not None:
@@ -176,12 +209,12 @@ class Environment:
 
 
 def _stages(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
-    """Return the times of samples (steps,), and of stages from them on (2·substeps + 1,)."""
+    """Return the times of samples (steps,) and of stages after them (2·substeps + 1,)."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
 def _along(length: Matrix, to_rad: float) -> Matrix:
-    """Vectors (..., 2), north and east, of the given lengths (...,) in one direction."""
+    """Return vectors (..., 2), north and east, of lengths (...,) in one direction."""
     vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
     return vectors

@@ -17,31 +17,31 @@ from dpbench.arrays import Vector
 
 @dataclass(frozen=True)
 class Froude:
-    """Factors from full size to a model of scale 1 : ratio; ratio 1 is full size itself."""
+    """Factors from full size to a model of scale 1 : ratio."""
 
     ratio: float = 1.0
 
     @property
     def length(self) -> float:
-        """Of lengths."""
+        """Factor of lengths."""
         return 1.0 / self.ratio
 
     @property
     def time(self) -> float:
-        """Of times, and of speeds."""
+        """Factor of times and of speeds."""
         return 1.0 / math.sqrt(self.ratio)
 
     @property
     def force(self) -> Vector:
-        """(3,) of the force in surge and sway and the moment in yaw."""
+        """Factors (3,) of surge and sway force and yaw moment."""
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
     def velocity(self) -> Vector:
-        """(3,) of surge and sway speed and yaw rate."""
+        """Factors (3,) of surge and sway speed and yaw rate."""
         return np.array([self.time, self.time, 1.0 / self.time])
 
     @property
     def pose(self) -> Vector:
-        """(3,) of north, east, heading."""
+        """Factors (3,) of north, east, heading."""
         return np.array([self.length, self.length, 1.0])

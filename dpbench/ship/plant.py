@@ -19,6 +19,8 @@ State s and the rows b of a stage table are laid out as `layout` says:
 
 There are two kernels, because a branch in the derivative keeps it from being inlined and triples
 the cost of the ship that has no wind, current or drift.
+
+What is measured: [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise], η_w the motion of the waves.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.actuators import Actuators, CommandedThrusters
+from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
@@ -43,6 +46,9 @@ from dpbench.ship.layout import (
     LOADED,
     NORTH,
     PLAIN,
+    RATE_EAST,
+    RATE_HEADING,
+    RATE_NORTH,
     STATE,
     WATER_EAST,
     WATER_NORTH,
@@ -103,10 +109,7 @@ def _plain(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compi
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def _loaded(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """Write the state derivative in wind, current and drift into `out`.
-
-    b (9,) of the stage table, loads (6,) of the hull.
-    """
+    """Write ṡ in wind, current and drift into out; b (9,) of the stage table, loads (6,)."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     air_u = c * b[AIR_NORTH] + sn * b[AIR_EAST] - s[U]
     air_v = c * b[AIR_EAST] - sn * b[AIR_NORTH] - s[V]
@@ -162,16 +165,10 @@ def advance_loaded(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-u
 class Plant:
     """The true ship, advanced one sample at a time.
 
-    Parameters
-    ----------
-    vessel : its M and D, which may differ from those of the controller's model.
     state : (6,) initial [u, v, r, n, e, ψ], copied.
-    sample_s : length of a sample [s].
     substeps : Runge-Kutta steps per sample.
-    loads : (6,) from `Environment.load_coefficients`, which is None where the weather has neither
-        wind nor current nor drift.
-    actuators : what stands between the command and the hull: what is lost or late of a force, or
-        thrusters; None for nothing.
+    loads : (6,) or None, from `Environment.load_coefficients`.
+    actuators : losses and delays, or thrusters, between the command and the hull.
     """
 
     def __init__(
@@ -193,13 +190,9 @@ class Plant:
         self._work = np.empty((STAGES + 1, STATE))
 
     def advance(self, tau: Vector, stages: Matrix) -> None:
-        """One sample under the command tau and weather (2·substeps + 1, 3 or 9).
+        """Advance a sample under a force (3,) or thruster forces (n_f,) and weather (…, 3 or 9).
 
-        The command is the force (3,), or the forces of the thrusters (n_f,) where it goes to them.
-
-        Raises
-        ------
-        ValueError : the weather has 3 columns where the plant has loads, or 9 where it has none.
+        Raises ValueError unless the weather has 9 columns where the plant has loads, 3 elsewhere.
         """
         if self._thrust is not None:
             tau = self._thrust.deliver(tau)
@@ -208,3 +201,31 @@ class Plant:
             advance(s, tau, stages, Minv, MinvD, h, work)
         else:
             advance_loaded(s, tau, stages, Minv, MinvD, self._loads, h, work)
+
+
+@njit(cache=True)
+def _sense(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the measurement (6,) of state (6,), motion (6,) in NED and noise (3,)."""
+    c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
+    measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
+    measured[V] = state[V] - s * motion[RATE_NORTH] + c * motion[RATE_EAST]
+    measured[R] = state[R] + motion[RATE_HEADING]
+    for i in range(AXES):
+        measured[AXES + i] = state[AXES + i] + motion[i] + noise[i]
+
+
+class Sensors:
+    """The sensors in one run of `samples` samples."""
+
+    def __init__(self, environment: Environment, samples: int, sample_s: float) -> None:
+        self._ideal = environment.motion is None and environment.noise is None
+        self._motion = environment.measured_motion(samples, sample_s)
+        self._noise = environment.noise_table(samples)
+        self._measured = np.empty(STATE)
+
+    def sense(self, state: Vector, k: int) -> Vector:
+        """Return [u, v, r, n, e, ψ] as measured at sample k, valid until the next call."""
+        if self._ideal:
+            return state
+        _sense(state, self._motion[k], self._noise[k], self._measured)
+        return self._measured

@@ -1,4 +1,4 @@
-"""Thrusters: where they stand, what they can give, and the force they make together.
+"""Thrusters: their places, their limits, and the force they make together.
 
     τ = T_e f,   f = [X_1, Y_1, …]: two components of an azimuth thruster, one of any other
     column of X_i: (1, 0, −y_i)        of Y_i, and of a tunnel: (0, 1, x_i)
@@ -33,24 +33,13 @@ MECHANICAL_EFFICIENCY = 0.93
 
 
 def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
-    """T = η_1 (η_m P D)^(2/3) [N], bollard pull ahead (DNV-ST-0111 level 1, η_2 = 1).
-
-    Parameters
-    ----------
-    power_kW : P, brake power [kW]; diameter_m : D of the propeller [m].
-    propeller : open, in a nozzle, or in a tunnel.
-    """
+    """Return the bollard pull ahead, η_1 (η_m P D)^(2/3) [N] (DNV-ST-0111 level 1, η_2 = 1)."""
     return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
 
 
 @dataclass(frozen=True)
 class Screw:
-    """The propeller of a thruster, for what DNV-ST-0111 makes it lose.
-
-    Parameters
-    ----------
-    diameter_m, propeller : of its thrust; height_m : of its shaft above the keel, None for unknown.
-    """
+    """The propeller of a thruster; height_m is that of its shaft above the keel, if known."""
 
     diameter_m: float
     propeller: Propeller
@@ -61,22 +50,14 @@ class Screw:
 class Thruster:
     """One thruster.
 
-    Parameters
-    ----------
-    name : for tables and faults; group : what fails together, as behind one switchboard.
-    kind : azimuth, tunnel (across the ship) or main (along it).
     x_m, y_m : place ahead and to starboard of the origin of the ship's matrices [m].
     thrust_N : T, the largest thrust ahead; of an azimuth, in any direction it may take [N].
     rise_s : time from zero to full thrust [s].
-    astern : thrust astern as a share of T; of a main propeller only.
+    astern : thrust astern of a main propeller as a share of T.
     sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
         half a turn wide, so that the forces it can give are a convex set. None for all round.
-    turning_radps : fastest turning of an azimuth [rad/s]; None where it is not known.
-    screw : None where only its thrust is known.
-
-    Raises
-    ------
-    InputError : naming the key, what was found and what is allowed.
+    group : what fails together, as behind one switchboard.
+    turning_radps : fastest turning of an azimuth [rad/s], if known.
     """
 
     name: str
@@ -104,12 +85,12 @@ class Thruster:
 
     @property
     def components(self) -> int:
-        """Entries of f it has: 2 for an azimuth, 1 else."""
+        """Number of entries of f: 2 for an azimuth, 1 else."""
         return 2 if self.kind == "azimuth" else 1
 
     @property
     def columns(self) -> Matrix:
-        """Its columns of T_e: (3, components)."""
+        """Columns of T_e: (3, components)."""
         along, across = (1.0, 0.0, -self.y_m), (0.0, 1.0, self.x_m)
         parts = {"azimuth": (along, across), "tunnel": (across,), "main": (along,)}
         return np.array(parts[self.kind]).T
@@ -149,7 +130,7 @@ class ThrusterSet:
 
     @cached_property
     def places(self) -> tuple[slice, ...]:
-        """Where each thruster stands in f."""
+        """Slices of f, one per thruster."""
         ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
@@ -163,52 +144,43 @@ class ThrusterSet:
         return np.array([thruster.thrust_N for thruster in self.thrusters])
 
     def step_max(self, sample_s: float) -> Vector:
-        """Δf_max (n_f,) [N]: the largest change of each entry in one sample."""
+        """Return Δf_max (n_f,) [N], the largest change of each entry in one sample."""
         rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
         return self.per_entry(self.thrust_N * sample_s / rise_s)
 
     def size(self, f: Matrix) -> Matrix:
-        """|f_i| (..., p) of forces f (..., n_f) [N]."""
+        """Return |f_i| (..., p) of forces f (..., n_f) [N]."""
         sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.places]
         return np.stack(sizes, axis=-1)
 
     def support(self, direction: Vector) -> float:
-        """Return the largest τ·d over all f within their limits, for d (3,): the support function.
-
-        An azimuth all round gives T |column·d|; in a sector, the best of its ends, its middle part
-        and nothing.
-        """
+        """Return the support function: the largest τ·d over all f within limits, for d (3,)."""
         slopes = direction @ self.T_e
         return float(
             sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.places, strict=True))
         )
 
     def limits(self) -> tuple[Vector, Vector]:
-        """τ_min, τ_max (3,): the most in each axis, with no regard to the others [N, N, N·m]."""
+        """Return τ_min, τ_max (3,): the most in each axis by itself [N, N, N·m]."""
         axes = np.eye(AXES)
         least = np.array([-self.support(-axis) for axis in axes])
         return least, np.array([self.support(axis) for axis in axes])
 
     def rate(self) -> Vector:
-        """(3,) the fastest change of τ, each axis by itself [N/s, N/s, N·m/s]."""
+        """Return the fastest change of τ (3,), each axis by itself [N/s, N/s, N·m/s]."""
         largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
         return largest
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """Numbers of the thrusters of each failure group; one without a group is its own."""
+        """Indices of the thrusters of each failure group; one without a group is its own."""
         members: dict[str, list[int]] = {}
         for i, thruster in enumerate(self.thrusters):
             members.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in members.items()}
 
     def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
-        """Return the numbers of thrusters, or of whole failure groups, by name.
-
-        Raises
-        ------
-        InputError : naming where and key, for a name that neither has.
-        """
+        """Return the indices of thrusters, or of whole failure groups, by name."""
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:
             if name not in known:

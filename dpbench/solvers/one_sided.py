@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram

@@ -164,8 +164,12 @@ def _version(distribution: str) -> str:
     return metadata.version(distribution)
 
 
-def available(name: str) -> Availability:
-    """Import the library of a solver and return whether that worked, whatever it raised."""
+def available(name: str, *, imported: bool = True) -> Availability:
+    """Return whether the library of a solver is installed and can be imported.
+
+    A library is not available whatever error it raises while it is imported. Without importing it
+    (`imported=False`) its build is not read.
+    """
     row = record(name)
     if row.extra == "own":
         return Availability(True, _version("dpbench"))
@@ -178,6 +182,8 @@ def available(name: str) -> Availability:
         version = _version(row.distribution)
     except metadata.PackageNotFoundError:
         return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
+    if not imported:
+        return Availability(True, version)
     try:
         # A library that warns on import is available all the same.
         with warnings.catch_warnings():

@@ -79,7 +79,8 @@ def test_the_tables_of_a_suite_are_named(place: Path, capsys: pytest.CaptureFixt
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
     assert main(["check", "else.toml"]) == 2
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
-    assert tables in capsys.readouterr().err
+    line = capsys.readouterr().err
+    assert tables in line and "[[thrusters]] (a vessel)" in line
 
 
 def spoil(name: str, **arrays: object) -> Callable[[Path], None]:

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.cli.main import main
-from dpbench.cli.own_ship_files import OwnShip, scenario_text, suite_text, vessel_text
+from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
 from dpbench.scenario.hull_files import read_mss
-from dpbench.scenario.own_ship import LIBRARY, Particulars, Thrust, scale_vessel
+from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, Thrust, scale_vessel
 from dpbench.scenario.scenario import load_scenario, load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS
 
 CUT = Path(__file__).parents[1] / "scenario" / "mss" / "supply_cut.mat"
 PARTICULARS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}

@@ -19,18 +19,8 @@ from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
 from dpbench.report.table import Table
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
-SHIP = [
-    "--length",
-    "80",
-    "--breadth",
-    "18",
-    "--draught",
-    "6",
-    "--displacement",
-    "6000",
-    "--thrust",
-    "300",
-]
+NUMBERS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}
+SHIP = [word for key, number in NUMBERS.items() for word in (f"--{key}", str(number))]
 EXPORT = ["export", "rough", "--steps", "2", "--out", "rough.npz"]
 KINDS = ("vessels", "scenarios", "suites", "sequences", "solvers")
 
@@ -110,10 +100,7 @@ def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize("setting", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}])
 @pytest.mark.parametrize("words", [["list", "vessels"], EXPORT], ids=lambda words: words[0])
 def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> None:
-    """A real one: no colour where none is wanted, no code at the end.
-
-    On one that can do bold, bold is no colour.
-    """
+    """A real one: no colour where none is wanted, no code at the end."""
     primary, secondary = pty.openpty()
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | setting
     program = [sys.executable, "-m", "dpbench", *words]

@@ -23,7 +23,7 @@ from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.cli.check_ship import ship_lines
 from dpbench.cli.doctor import doctor_lines
-from dpbench.cli.list_problems import problem_list
+from dpbench.cli.listing import list_table
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
@@ -132,7 +132,7 @@ def test_every_head_of_a_list_is_explained(kind: str) -> None:
     """The first line of it, as it is printed."""
     screen = Console(width=80)
     with screen.capture() as printed:
-        screen.print(problem_list(kind))
+        screen.print(list_table(kind))
     heads = {head.strip() for head in printed.get().splitlines()[0].split("┃")}
     assert "name" in heads
     assert heads <= _spoken()

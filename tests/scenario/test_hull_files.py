@@ -127,8 +127,7 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
-    """Two elements whose types and lengths SciPy's C code follows out of the file: in this process
-    it would end the tests with a segmentation fault."""
+    """Two elements whose types and lengths SciPy's C code follows out of the file."""
     path = save(tmp_path / "ship.mat", {"MRB": np.eye(6), "main": {"Lpp": 82.8}, "name": "x"})
     whole = path.read_bytes()
     for at in (260, 668):

@@ -8,18 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.scenario.own_ship import (
+    DP_NUMBERS,
     LIBRARY,
     NOT_CHOSEN,
+    SPARE,
     LibraryShip,
     Particulars,
     Thrust,
-    froude_time,
+    largest_sea,
+    load_share,
     nearest_ship,
     regression_added_mass,
     scale_vessel,
 )
 from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS, SPARE, largest_sea, load_share
 from dpbench.ship.characteristics import axis_time_constants_s
 from dpbench.ship.froude import Froude
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -109,12 +111,6 @@ def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
     # Surge: 2.7 · 1026 · 6000^(5/3) / 1e4, and 6000^(5/3) = 1.98116e6.
     by_hand = [5.4881e5, 4.7543e6, 2.3422e9]
     np.testing.assert_allclose(regression_added_mass(own), by_hand, rtol=1e-4)
-
-
-def test_times_are_those_of_the_papers_ship() -> None:
-    """1 for it; twice for a ship four times as long."""
-    assert froude_time(76.2) == 1.0
-    assert froude_time(4 * 76.2) == 2.0
 
 
 @pytest.mark.parametrize("name", LIBRARY)

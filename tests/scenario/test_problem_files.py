@@ -80,10 +80,9 @@ def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "ship.toml"
     if content == "folder":
         path.mkdir()
-    with pytest.raises(InputError) as caught:
+    found = "a folder" if content == "folder" else "no such file"
+    with pytest.raises(InputError, match=f"{path}: found {found}; .* vessel file in TOML"):
         problem_path("vessels", path)
-    assert caught.value.where == str(path)
-    assert "vessel file in TOML" in caught.value.allowed
 
 
 def test_a_folder_of_the_right_name_cannot_be_read(tmp_path: Path) -> None:
@@ -121,34 +120,12 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(
     assert "\n" not in str(caught.value)
 
 
-def test_an_empty_file_lacks_its_first_key(tmp_path: Path) -> None:
-    """An empty document is read as one without keys, and the first required one is named."""
-    path = tmp_path / "empty.toml"
-    path.write_bytes(b"")
-    with pytest.raises(InputError) as caught:
-        parse_model(read_toml(path), Outer, str(path))
-    error = caught.value
-    assert (error.where, error.key, error.found) == (str(path), "title", "nothing")
-
-
 @pytest.mark.parametrize(
     ("document", "key", "found", "allowed"),
     [
         ({**GOOD, "titel": "t"}, "titel", "an unknown key", "one of title, inner, other"),
         ({"titel": "t", "inner": {"depth_m": 3.0}}, "titel", "an unknown key", "title"),
-        ({**GOOD, "x": 1}, "x", "an unknown key", "title, inner, other"),
-        (
-            {**GOOD, "inner": {"depth_m": 3.0, "draft_m": 5.0}},
-            "inner.draft_m",
-            "an unknown key",
-            "draught_m",
-        ),
-        (
-            {**GOOD, "other": {"depth_m": 3.0, "x": 5.0}},
-            "other.x",
-            "an unknown key",
-            "depth_m, draught_m",
-        ),
+        ({**GOOD, "other": {"depth_m": 3.0, "x": 5}}, "other.x", "unknown", "depth_m, draught_m"),
         ({**GOOD, "inner": {}}, "inner.depth_m", "nothing", "required"),
         ({**GOOD, "inner": 3}, "inner", "3", "valid dictionary or instance of Inner"),
         ({**GOOD, "inner": {"depth_m": float("nan")}}, "inner.depth_m", "nan", "finite number"),
@@ -178,20 +155,6 @@ def test_an_unknown_name_lists_what_there_is(name: str) -> None:
     with pytest.raises(UnknownNameError) as caught:
         problem_path("vessels", name)
     assert caught.value.allowed == f"one of {', '.join(problem_names('vessels'))}; or a .toml path"
-
-
-def test_a_name_too_long_to_be_a_file_is_refused_in_one_line() -> None:
-    """A name of 300 characters is an unknown name, not an operating-system error."""
-    with pytest.raises(InputError, match=r"… \d+ more: `dpbench list scenarios`"):
-        problem_path("scenarios", "x" * 300)
-
-
-def test_a_folder_is_told_as_a_folder(tmp_path: Path) -> None:
-    """A path that is a folder is refused as one."""
-    folder = tmp_path / "my.toml"
-    folder.mkdir()
-    with pytest.raises(InputError, match="found a folder"):
-        problem_path("scenarios", folder)
 
 
 def test_a_sequence_is_a_stored_name_or_a_path(

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.errors import DpbenchError, UnknownNameError
+from dpbench.errors import DpbenchError
 from dpbench.scenario.controllers.controller import limit_tables
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.ship.estimation.estimator import MeasuredState
@@ -81,10 +81,7 @@ def test_the_true_ship_differs_by_per_cent() -> None:
 
 @pytest.mark.slow
 def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
-    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70.
-
-    Weather, waves, noise, limits, faults, horizon and weights all have to scale for this to hold.
-    """
+    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70."""
     ratio = 70.0
     full = load_scenario("thruster_loss")
 
@@ -111,14 +108,6 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
     np.testing.assert_allclose(
         small.tau * [ratio**3, ratio**3, ratio**4], large.tau, rtol=0, atol=1.0
     )
-
-
-def test_a_scenario_takes_another_vessel_by_name() -> None:
-    """`rough@osv` is `rough` with the vessel `osv`, and says so in its name."""
-    scenario = load_scenario("rough@osv")
-    assert (scenario.name, scenario.vessel.id) == ("rough@osv", "osv")
-    with pytest.raises(UnknownNameError, match="osv"):
-        load_scenario("rough@osw")
 
 
 CASCADE = "thrusters_cascade"

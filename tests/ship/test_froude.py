@@ -20,13 +20,6 @@ def test_factors_of_a_model_of_one_to_four() -> None:
     assert scale.pose.tolist() == [0.25, 0.25, 1.0]
 
 
-def test_full_size_stays_as_it_is() -> None:
-    """All factors of a full-size ship are 1."""
-    scale = Froude()
-    assert (scale.length, scale.time) == (1.0, 1.0)
-    assert scale.force.tolist() == scale.velocity.tolist() == scale.pose.tolist() == [1.0] * 3
-
-
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(0.1, 200.0))
 def test_factors_agree_with_one_another(ratio: float) -> None:

@@ -12,22 +12,10 @@ from hypothesis import strategies as st
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.thrusters import Thruster, ThrusterSet, nominal_thrust_N
+from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 place = st.floats(-50.0, 50.0)
 thrust = st.floats(1e4, 1e6)
-
-
-@pytest.mark.parametrize(
-    ("power_kW", "diameter_m", "propeller", "published_kN"),
-    [(1325, 3.10, "open", 195.3), (880, 1.65, "nozzle", 146.6), (900, 1.74, "tunnel", 116.0)],
-)
-def test_nominal_thrust_is_the_published_one_within_half_a_per_cent(
-    power_kW: float, diameter_m: float, propeller: str, published_kN: float
-) -> None:
-    """The three kinds of thrusters of the rescue ship Ratownik."""
-    thrust_N = nominal_thrust_N(power_kW, diameter_m, propeller)  # type: ignore[arg-type] # of a table
-    assert thrust_N / 1e3 == pytest.approx(published_kN, rel=0.005)
 
 
 def test_the_vessel_file_of_ratownik_has_the_published_thrusts() -> None:

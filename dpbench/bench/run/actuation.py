@@ -17,9 +17,9 @@ from dpbench.bench.run.timed_solver import (
     is_usable,
     record_answer,
 )
-from dpbench.scenario.controllers.cascade import CascadeController
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.thrusters import CascadeController
 from dpbench.ship.layout import AXES
 
 

@@ -32,8 +32,7 @@ from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import Drawn
 from dpbench.ship.layout import POSE
-from dpbench.ship.measurement import Sensors
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
 Emit = Callable[[int, Vector, Vector], QPStep]
 Both = LoopWithBackup | SlowComputer

@@ -17,17 +17,14 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class ThrusterControl:
-    """Thrusters that a controller commands.
-
-    thrusters : of the vessel; rows : their limits as the QP has them; W (n_f, n_f) : their weight.
-    """
+    """Thrusters that a controller commands, their limits in the QP, their weight W (n_f, n_f)."""
 
     thrusters: ThrusterSet
     rows: ThrusterRows
     W: Matrix
 
     def move_limit(self, df_max: Vector) -> MoveLimit:
-        """Return what limits the moves of their forces, rates df_max (n_f,) [N] included."""
+        """Return the limit of moves, rates df_max (n_f,) [N] included."""
         return ThrusterLimit(self.rows, df_max)
 
     def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
@@ -43,7 +40,7 @@ class TurningThrusterControl(ThrusterControl):
     turning: AzimuthTurning
 
     def move_limit(self, df_max: Vector) -> MoveLimit:
-        """Return what limits the moves of their forces and the turning of azimuths."""
+        """Return the limit of moves, rates and turning of azimuths included."""
         return TurningLimit(self.rows, df_max, self.turning)
 
     def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
@@ -59,9 +56,7 @@ class TurningThrusterControl(ThrusterControl):
 def thruster_control(spec: ControllerSpec) -> ThrusterControl:
     """Return the thrusters that the controller of a file commands.
 
-    Raises
-    ------
-    InputError : for a vessel without thrusters, or azimuth_turning where no azimuth can keep to it.
+    Raises InputError for a vessel without thrusters, and where azimuth_turning does not apply.
     """
     table, where = spec.thruster_table, spec.where
     thrusters = spec.thrusters("kind", spec.table.kind, "forces")

@@ -1,9 +1,4 @@
-"""`Controller`: what a scenario and its runs ask of a controller, whatever it commands.
-
-A controller plans by a condensed QP of its `problem`. What differs between controllers is behind
-the members below: their QPs, how a move is limited, which forces were applied, what is known to be
-lost when, and which metrics apply. `kinds.py` names the classes by their key in a scenario file.
-"""
+"""The interface of controllers, which plan by a condensed QP of their `problem`."""
 
 from __future__ import annotations
 
@@ -24,7 +19,7 @@ from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.linearisation import Linearisation
+from dpbench.scenario.controllers.specification import Linearisation
 
 Changes = tuple[tuple[int, Limits], ...]
 """(sample, limits) from which on these limits hold, in order of time."""
@@ -37,11 +32,7 @@ of thrusters and their wear, and force demanded but not delivered."""
 class Controller(ABC):
     """A controller made ready for a ship.
 
-    Parameters
-    ----------
-    tuning : a name for horizons and weights.
     problem : model at psi0_rad, horizons, weights and limits in SI units.
-    linearisation : whether the model is linearised once or at each step.
     amplitude, outputs : policy of the amplitude limits; bounds on position and speed.
     changes : of the limits of u, by faults.
     """
@@ -57,11 +48,11 @@ class Controller(ABC):
     metric_groups: ClassVar[tuple[MetricGroup, ...]]
     """The metrics that apply besides those of every run."""
     allocates: ClassVar[bool] = False
-    """Whether the planned force is a demand, which is then allocated to thrusters."""
+    """True where the planned force is then allocated to thrusters."""
     commands: ClassVar[str] = ""
-    """What stands behind the horizons in a description: ", thrusters"; "" for forces."""
+    """Suffix of the description: ", thrusters"; "" for forces."""
     why_no_delay: ClassVar[str] = ""
-    """Why late answers on a slow computer are not simulated; "" where they are."""
+    """Reason why late answers on a slow computer are not simulated; "" where they are."""
 
     @property
     def label(self) -> str:
@@ -80,7 +71,7 @@ class Controller(ABC):
 
     @property
     def n_f(self) -> int:
-        """Entries of the commanded thrusters' forces; 0 where axes of the force are commanded."""
+        """Number of commanded thruster forces; 0 where axes of the force are commanded."""
         return 0 if self.commanded is None else self.commanded.thrusters.n_f
 
     def build_qp(self, units: UnitSystem = "scaled") -> CondensedQP:
@@ -91,7 +82,7 @@ class Controller(ABC):
         return {"units": units, "amplitude": self.amplitude, "outputs": self.outputs}
 
     def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:
-        """Return the builder of the same QPs with the states kept; InputError, naming `where`."""
+        """Return the builder of the sparse QPs, with states; InputError where there are none."""
         why = self.why_no_sparse_form
         if why or self.amplitude == "soft":
             allowed = "a scenario without layers and with one model"
@@ -100,7 +91,7 @@ class Controller(ABC):
 
     @property
     def why_no_sparse_form(self) -> str:
-        """Why the QPs have no formulation with the states kept; "" where they have."""
+        """Reason why the QPs have no sparse formulation; "" where they have."""
         if self.linearisation.why_no_sparse_form:
             return self.linearisation.why_no_sparse_form
         if self.amplitude == "soft" or self.outputs is not None:
@@ -112,12 +103,12 @@ class Controller(ABC):
         return None
 
     def move_limit(self) -> MoveLimit:
-        """Return what limits the moves of a run."""
+        """Return the limit of moves."""
         return move_limit(self.problem)
 
     @property
     def built_in_limits(self) -> Limits | None:
-        """The limits that need not be handed over to a builder, as they are in its QPs."""
+        """Limits that are in the QPs already and need not be passed to their builder."""
         return self.problem.limits
 
     def limits(self, samples: int) -> list[Limits]:
@@ -134,7 +125,7 @@ class Controller(ABC):
 
     @abstractmethod
     def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
-        """Return what was applied of u (K, n_u): of a run's τ (K, 3) and f (K, n_f) one."""
+        """Return the applied u (K, n_u), either τ (K, 3) or f (K, n_f) of a run."""
 
     def as_baseline_law(self) -> Controller:
         """Return the controller as the baseline law runs it, without a QP anywhere."""

@@ -45,20 +45,15 @@ class JointForceController(ForceController):
 def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
     """Return the problem of a plan of forces, and how faults change its limits.
 
-    Raises
-    ------
-    InputError : for limits = "attainable" in a vessel without thrusters.
+    Raises InputError for limits = "attainable" in a vessel without thrusters.
     """
     ship = spec.vessel
     R, du_max = np.diag(_move_weight(spec)), ship.step_max(spec.sample_s)
     if spec.table.limits == "box":
-        limits = Limits(ship.tau_min, ship.tau_max)
-        rows, changes = (
-            None,
-            tuple(
-                (k, Limits(share * ship.tau_min, share * ship.tau_max))
-                for k, share in spec.limit_shares
-            ),
+        rows, limits = None, Limits(ship.tau_min, ship.tau_max)
+        changes = tuple(
+            (k, Limits(share * ship.tau_min, share * ship.tau_max))
+            for k, share in spec.limit_shares
         )
     else:
         thrusters = spec.thrusters("limits", "attainable", "box")

@@ -1,8 +1,10 @@
-"""What a controller is made from, and what all of them take from it alike."""
+"""Tables and ship that a controller is made from, and what all controllers take from them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypedDict
 
 import numpy as np
@@ -10,15 +12,12 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.condensed_qp import Amplitude
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, prediction_model
 from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
-from dpbench.scenario.controllers.linearisation import (
-    FIXED_MODEL,
-    Linearisation,
-    relinearised_model,
-)
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.scenario.tables.scenario_file import (
     ControllerTable,
     FaultTable,
@@ -28,6 +27,33 @@ from dpbench.scenario.tables.scenario_file import (
 from dpbench.ship.froude import Froude
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The step from a problem, with its model at one heading, to condensed QPs.
+
+    condense : makes the builder of a problem, with the arguments of `CondensedQP`.
+    """
+
+    condense: Callable[..., CondensedQP]
+    why_no_sparse_form: str = ""
+
+
+FIXED_MODEL = Linearisation(CondensedQP)
+"""One model for the whole run."""
+
+
+def relinearised_model(psi0_rad: float) -> Linearisation:
+    """Linearise at each measured heading, starting from the problem's at psi0_rad."""
+    why = "sparse: the model is linearised anew at each step, and its stages with it"
+    return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
+
+
+def turning_rows(turning: AzimuthTurning) -> Linearisation:
+    """Linearise once, with the rows of azimuths that turn at a limited rate at each step."""
+    why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
+    return Linearisation(partial(TurningQP, turning=turning), why)
 
 
 class Planning(TypedDict):
@@ -42,13 +68,7 @@ class Planning(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class ControllerSpec:
-    """Tables and ship of a controller.
-
-    Parameters
-    ----------
-    file : of the scenario; vessel : the ship as the controller knows it; sample_s : ΔT [s].
-    scale : Froude's, of the ship; where : the file named in errors.
-    """
+    """Tables and ship of a controller; `where` is the file named in errors."""
 
     file: ScenarioFile
     vessel: Vessel
@@ -69,7 +89,7 @@ class ControllerSpec:
 
     @property
     def planning(self) -> Planning:
-        """How the controller plans."""
+        """Arguments of `Controller`."""
         table, psi0_rad = self.table, self._psi0_rad
         each_step = table.linearisation == "each_step"
         return {
@@ -136,11 +156,8 @@ class ControllerSpec:
     @property
     def limit_shares(self) -> list[tuple[int, Vector]]:
         """(sample, shares (3,) of the vessel's limits) of the faults that change these."""
-        return [
-            (k, np.array(fault.limit_share))
-            for k, fault in self._faults
-            if fault.limit_share is not None
-        ]
+        shares = [(k, fault.limit_share) for k, fault in self._faults]
+        return [(k, np.array(share)) for k, share in shares if share is not None]
 
     @property
     def losses(self) -> list[tuple[int, set[int]]]:
@@ -150,9 +167,8 @@ class ControllerSpec:
         for i, (k, fault) in enumerate(self._faults):
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
-                lost = lost | self.vessel.thrusters.numbers(
-                    fault.lost, self.where, f"faults.{i}.lost"
-                )
+                key = f"faults.{i}.lost"
+                lost = lost | self.vessel.thrusters.numbers(fault.lost, self.where, key)
                 losses.append((k, lost))
         return losses
 

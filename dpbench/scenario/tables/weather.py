@@ -1,7 +1,7 @@
-"""The weather of scenario files, in the units sailors use, and what becomes of it in SI.
+"""The weather of scenario files, in the units of the trade, at full size.
 
-Wind and waves come *from* a compass direction, a current sets *towards* one. A file speaks of a
-full-size ship; for a model ship everything is scaled by Froude's law (`ship.froude`).
+Wind and waves come *from* a compass direction, a current sets *towards* one. For a model ship all
+is scaled by Froude's law.
 """
 
 from __future__ import annotations
@@ -14,20 +14,9 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from dpbench.arrays import Vector
 from dpbench.scenario.problem_files import FileModel
-from dpbench.scenario.tables.key_types import (
-    Count,
-    Degrees,
-    NotNegative,
-    Number,
-    Positive,
-    Three,
-    ThreePositive,
-)
-from dpbench.ship.environment import Environment
+from dpbench.scenario.tables import key_types as keys
+from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.froude import Froude
-from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind, towards_rad
 
@@ -37,15 +26,15 @@ _PER_KN = 1000.0
 class SquallTable(FileModel):
     """A force that rises, holds and decays along straight lines, on top of the slow forces."""
 
-    start_s: NotNegative
+    start_s: keys.NotNegative
     """When it begins to rise [s]."""
-    rise_s: Positive
-    """How long it rises [s]."""
-    hold_until_s: NotNegative
+    rise_s: keys.Positive
+    """Time of rising [s]."""
+    hold_until_s: keys.NotNegative
     """Until when it holds [s]; not before it has risen."""
-    decay_s: Positive
-    """How long it decays [s]."""
-    force_kN: Three
+    decay_s: keys.Positive
+    """Time of decay [s]."""
+    force_kN: keys.Three
     """Full force, north, east [kN], yaw [kN·m]."""
 
     @field_validator("hold_until_s")
@@ -70,9 +59,9 @@ class SquallTable(FileModel):
 class WindTable(FileModel):
     """Mean wind 10 m above the water with gusts along it."""
 
-    speed_mps: NotNegative
+    speed_mps: keys.NotNegative
     """Mean speed 10 m above the water [m/s]."""
-    from_deg: Degrees
+    from_deg: keys.Degrees
     """Compass direction it comes from [°]."""
     gusts: Literal["norsok", "harris", "none"] = "norsok"
     """Spectrum of the gusts; none: a steady wind."""
@@ -85,9 +74,9 @@ class WindTable(FileModel):
 class CurrentTable(FileModel):
     """A steady current."""
 
-    speed_mps: NotNegative
+    speed_mps: keys.NotNegative
     """Speed [m/s]."""
-    towards_deg: Degrees
+    towards_deg: keys.Degrees
     """Compass direction it sets towards [°]."""
 
     def current(self, scale: Froude) -> Current:
@@ -98,50 +87,42 @@ class CurrentTable(FileModel):
 class MotionTable(FileModel):
     """First-order motion in the measurement, per metre of wave amplitude."""
 
-    along_m_per_m: Number = 0.6
+    along_m_per_m: keys.Number = 0.6
     """Along the waves, per metre of wave amplitude; the water's own is 1."""
-    across_m_per_m: Number = 0.2
+    across_m_per_m: keys.Number = 0.2
     """Across the waves, per metre of wave amplitude."""
-    heading_deg_per_m: Number = 0.3
+    heading_deg_per_m: keys.Number = 0.3
     """Heading [°] per metre of wave amplitude."""
 
 
 class WavesTable(FileModel):
     """A JONSWAP sea: drift force on the ship, first-order motion in what is measured."""
 
-    hs_m: NotNegative
+    hs_m: keys.NotNegative
     """Significant height [m]."""
-    tp_s: Positive
+    tp_s: keys.Positive
     """Peak period [s]."""
-    from_deg: Degrees
+    from_deg: keys.Degrees
     """Compass direction they come from [°]."""
     gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
     """Peakedness of the JONSWAP spectrum; 1 is Pierson-Moskowitz."""
     drift: bool = True
-    """Whether the slow drift force acts on the ship."""
+    """true: the slow drift force acts on the ship."""
     motion: MotionTable | None = None
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
     def sea(self, scale: Froude) -> Sea:
         """In SI."""
-        return Sea(
-            self.hs_m * scale.length,
-            self.tp_s * scale.time,
-            towards_rad(self.from_deg),
-            self.gamma,
-        )
+        to_rad = towards_rad(self.from_deg)
+        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma)
 
     def first_order(self, scale: Froude) -> FirstOrderMotion | None:
         """In SI; None where the measurement shows none."""
-        if self.motion is None:
+        motion = self.motion
+        if motion is None:
             return None
-        turn = math.radians(self.motion.heading_deg_per_m) / scale.length
-        return FirstOrderMotion(
-            self.sea(scale),
-            self.motion.along_m_per_m,
-            self.motion.across_m_per_m,
-            turn,
-        )
+        turn = math.radians(motion.heading_deg_per_m) / scale.length
+        return FirstOrderMotion(self.sea(scale), motion.along_m_per_m, motion.across_m_per_m, turn)
 
     def motion_std(self, scale: Froude) -> Vector:
         """(3,) standard deviation of the first-order motion, the direction of the waves unknown."""
@@ -155,9 +136,9 @@ class WavesTable(FileModel):
 class NoiseTable(FileModel):
     """White noise of the sensors, standard deviations."""
 
-    position_m: NotNegative
+    position_m: keys.NotNegative
     """Of north and east [m]."""
-    heading_deg: NotNegative
+    heading_deg: keys.NotNegative
     """Of the heading [°]."""
 
     def noise(self, scale: Froude) -> SensorNoise:
@@ -171,20 +152,22 @@ class NoiseTable(FileModel):
 
 
 class EnvironmentTable(FileModel):
-    """b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), north, east, yaw, in kN and kN·m; and
-    whatever else of the weather there is."""
+    """Slow forces b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), and the rest of the weather.
 
-    mean_kN: Three = [0.0, 0.0, 0.0]
+    North, east, yaw, in kN and kN·m.
+    """
+
+    mean_kN: keys.Three = [0.0, 0.0, 0.0]
     """Constant part of the slow force: north, east [kN], yaw [kN·m]."""
-    amplitude_kN: Three = [0.0, 0.0, 0.0]
+    amplitude_kN: keys.Three = [0.0, 0.0, 0.0]
     """Amplitude of its sine: north, east [kN], yaw [kN·m]."""
-    period_s: ThreePositive = [60.0, 60.0, 60.0]
+    period_s: keys.ThreePositive = [60.0, 60.0, 60.0]
     """Period T of each sine [s]."""
-    phase_rad: Three = [0.0, 1.0, 2.0]
+    phase_rad: keys.Three = [0.0, 1.0, 2.0]
     """Phase of each sine [rad]."""
-    ramp_s: NotNegative = 0.0
+    ramp_s: keys.NotNegative = 0.0
     """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start."""
-    seed: Count = 0
+    seed: keys.Count = 0
     """Of gusts, waves and noise: the same seed is the same weather."""
     squalls: list[SquallTable] = []
     """Squalls, one table each."""
@@ -198,7 +181,7 @@ class EnvironmentTable(FileModel):
     """Noise of the sensors."""
 
     def environment(self, scale: Froude) -> Environment:
-        """The weather in SI."""
+        """Return the weather in SI."""
         sea = self.waves.sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,

@@ -46,9 +46,9 @@ class Condition:
 
 
 def condition_of_wind(wind_mps: float) -> Condition:
-    """Waves and current of a wind, linear between the rows of the table; above it, its last row.
+    """Return waves and current of a wind, linear between the rows of the table, held above it.
 
-    The standard knows the rows alone; between them this is ours, so that a wind can be named.
+    The standard has the rows alone; interpolation is ours.
     """
     columns = (float(np.interp(wind_mps, _TABLE[:, 0], column)) for column in _TABLE.T[1:])
     return Condition(wind_mps, *columns)

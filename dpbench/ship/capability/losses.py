@@ -1,4 +1,4 @@
-"""What of a thruster's nominal thrust is left, by level 1 of DNV-ST-0111 (2021), 3.9 and 3.11.
+"""Thrust losses by level 1 of DNV-ST-0111 (2021), 3.9 and 3.11.
 
     T_effective = T_nominal · β_misc · β_vent · β_dead(α) · β_skeg(α)
 
@@ -20,21 +20,20 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.hull import CapabilityHull
-from dpbench.ship.capability.loads import folded
+from dpbench.ship.capability.loads import CapabilityHull, folded
 from dpbench.ship.thrusters import Thruster
 
 MISCELLANEOUS = 0.9
 """β_misc."""
 FLUSHING_DIAMETERS = 15.0
-"""Nearer than so many diameters nobody may flush a working thruster."""
+"""Distance in diameters below which flushing a working thruster is forbidden."""
 TURN = 2.0 * math.pi
 
 
 def vented_share(
     thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
 ) -> float:
-    """β_vent, the share that waves from there leave; 1 for a thruster without a known screw."""
+    """Return β_vent in waves from γ; 1 for a thruster without a known screw."""
     screw = thruster.screw
     if screw is None or screw.height_m is None:
         return 1.0
@@ -51,13 +50,7 @@ def vented_share(
 
 @dataclass(frozen=True)
 class Loss:
-    """A share of thrust that depends on where it pushes.
-
-    Parameters
-    ----------
-    start, worst, end : where it begins, is largest and ends [rad], rising.
-    share : of the full thrust, at a direction between start and end [rad].
-    """
+    """The share of thrust left between the directions start and end [rad], least at `worst`."""
 
     start: float
     worst: float
@@ -71,7 +64,7 @@ class Loss:
 
 
 def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
-    """(from, to) [rad] of the directions in which an azimuth would flush a working thruster."""
+    """Return the (from, to) [rad] in which an azimuth would flush a working thruster."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
         return []
@@ -88,7 +81,7 @@ def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tup
 
 
 def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
-    """Losses of an azimuth whose race hits a thruster that gives nothing; no tunnel is hit.
+    """Return the losses of an azimuth whose race hits a dead thruster; no tunnel is hit.
 
     From β at the centre to 1 at both edges the largest thrust lies on a straight line.
     """
@@ -109,7 +102,7 @@ def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
 
 
 def _away(thruster: Thruster, other: Thruster) -> float:
-    """Where a thruster pushes to while its race meets the other [rad]."""
+    """Return the direction [rad] in which a thruster pushes while its race meets the other."""
     return math.atan2(thruster.y_m - other.y_m, thruster.x_m - other.x_m)
 
 
@@ -122,7 +115,7 @@ def _notch(centre: float, half: float, beta: float) -> Loss:
 
 
 def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
-    """Losses of an azimuth whose race hits a skeg, linear in the direction between three points.
+    """Return the losses of an azimuth whose race hits a skeg, linear between three directions.
 
     Tables 3-7 and 3-8 are mirror images, so they are one in the angle towards the thruster's side.
     """

@@ -1,4 +1,4 @@
-"""The forces an effective azimuth may give, as a union of convex pieces.
+"""The forces an azimuth may give after losses, as a union of convex pieces.
 
 In directions without loss the edge is the circle of radius 1, times T. A forbidden zone takes a
 sector out, and a loss a notch, so what remains is not convex: it is cut, at the bottom of each
@@ -28,10 +28,8 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A convex part of what an azimuth may give, in units of its effective thrust.
+    """A convex part of the forces of an azimuth, over its effective thrust.
 
-    Parameters
-    ----------
     sector : (start, end) [rad], at most half a turn; None for all round.
     chords : (c, 3) rows (n_x, n_y, h) of n·f ≤ h, in which a loss cuts the circle.
     """
@@ -49,11 +47,9 @@ def pieces(
 ) -> list[Piece]:
     """Split the region of an azimuth into convex pieces; none if every direction is forbidden.
 
-    Parameters
-    ----------
-    sector : where it may push at all; zones : where it may not, (from, to) [rad].
+    sector, zones : where it may push, and where not, (from, to) [rad].
     dead, skegs : losses; of several of one kind the largest counts, of both kinds the product.
-    step_rad : the angle between corners on the edge of a notch, at most.
+    step_rad : the largest angle between corners on the edge of a notch.
     """
     edge = _Edge(dead, skegs)
     if sector is None and not zones and not edge.kinks:
@@ -84,22 +80,22 @@ class _Edge:
         corners = self._corners(start, end, step_rad)
         points = [self._point(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)
-        ways = [self._way(a, b, p, q) for (a, b), (p, q) in sides]
+        tangents = [self._end_tangents(a, b, p, q) for (a, b), (p, q) in sides]
         cuts, first = [], 0
-        for i in range(1, len(ways)):
+        for i in range(1, len(tangents)):
             wide = corners[i + 1] - corners[first] > math.pi + _ROUNDING
-            if wide or _cross(ways[i - 1][1], ways[i][0]) < -_ROUNDING:
+            if wide or _cross(tangents[i - 1][1], tangents[i][0]) < -_ROUNDING:
                 cuts.append((first, i))
                 first = i
-        cuts.append((first, len(ways)))
-        chords = [[chord for _, _, chord in ways[a:b] if chord] for a, b in cuts]
+        cuts.append((first, len(tangents)))
+        chords = [[chord for _, _, chord in tangents[a:b] if chord] for a, b in cuts]
         return [
             Piece((corners[a], corners[b]), np.array(rows, dtype=np.float64).reshape(-1, 3))
             for (a, b), rows in zip(cuts, chords, strict=True)
         ]
 
     def _corners(self, start: float, end: float, step_rad: float) -> list[float]:
-        """Both ends, the kinks between them, and as many more as notches and half turns need."""
+        """Return the ends, the kinks between, and as many more as notches and half turns need."""
         between = {start + (kink - start) % TURN for kink in self.kinks}
         main = [start, *sorted(a for a in between if start + _ROUNDING < a < end - _ROUNDING), end]
         corners = [start]
@@ -114,10 +110,10 @@ class _Edge:
         share = min(self.share(direction - _ROUNDING), self.share(direction + _ROUNDING))
         return share * math.cos(direction), share * math.sin(direction)
 
-    def _way(
+    def _end_tangents(
         self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
-        """Directions in which the edge leaves a corner and meets the next; its chord, if any."""
+        """Return the tangents at both ends of a part of the edge; its chord, if any."""
         if self.share(0.5 * (a + b)) >= 1.0:
             return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
         length = math.hypot(q[0] - p[0], q[1] - p[1])

@@ -34,9 +34,9 @@ from dpbench.ship.estimation.observer import (
     XI1,
     XI2,
     ModelObserver,
+    WaveModel,
     model_change,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.vessel import Vessel
 
@@ -55,9 +55,6 @@ BIAS_TIME_RATIO = 1e4
 class PassiveTuning:
     """Gains by the rules of the paper; axes north, east, yaw.
 
-    Parameters
-    ----------
-    waves : peak and damping of the wave motion (its std is not used).
     notch_damping : (3,) ζ_n, above the damping λ of the waves; 1 gives -20 dB at the peak.
     cutoff_radps : (3,) ω_c, above ω0 [rad/s].
     K4 : (3,) gain of the pose error on the force [N/m, N/m, N·m/rad].
@@ -75,14 +72,8 @@ class PassiveTuning:
     wave_filter: bool = True
 
     @classmethod
-    def of_ship(
-        cls,
-        ship: Vessel,
-        waves: WaveModel,
-        *,
-        wave_filter: bool = True,
-    ) -> PassiveTuning:
-        """Gains in proportion to the ship's inertia and to the peak of the sea."""
+    def of_ship(cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True) -> PassiveTuning:
+        """Choose gains in proportion to the ship's inertia and to the peak of the sea."""
         omega0 = waves.omega0_radps
         return cls(
             waves,
@@ -112,7 +103,7 @@ _K11, _K12, _K2, _K3, _K4, _STIFF, _DAMP, _LEAK = range(8)
 
 @njit(cache=True)
 def _derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """ẋ of x = [η̂, b̂, ν̂, ξ̂1, ξ̂2] (15,) at the measured pose y (3,), into out."""
+    """Write ẋ of x = [η̂, b̂, ν̂, ξ̂1, ξ̂2] (15,) at the measured pose y (3,) into out."""
     c, s = np.cos(y[2]), np.sin(y[2])
     e = (y[0] - x[ETA] - x[XI2], y[1] - x[ETA + 1] - x[XI2 + 1], y[2] - x[ETA + 2] - x[XI2 + 2])
     north, east = x[BIAS] + rows[_K4, 0] * e[0], x[BIAS + 1] + rows[_K4, 1] * e[1]
@@ -174,15 +165,7 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
 
 
 class PassiveObserver(ModelObserver):
-    """Fossen and Strand's observer.
-
-    Parameters
-    ----------
-    ship : M and D of the model, which need not be those of the true ship.
-    tuning : gains and wave model.
-    sample_s : time between updates [s].
-    substeps : Runge-Kutta steps per sample.
-    """
+    """Fossen and Strand's observer, by `substeps` Runge-Kutta steps per sample."""
 
     def __init__(
         self,
@@ -194,11 +177,12 @@ class PassiveObserver(ModelObserver):
         super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
         omega0 = waves.omega0_radps
-        self._rows: Matrix = np.array(
+        rows: Matrix = np.array(
             [*tuning.gains, omega0**2, 2 * waves.damping * omega0, 1 / tuning.bias_time_s]
         )
-        self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(ship.M))
-        self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(ship.M, ship.D))
+        Minv, MinvD = np.linalg.inv(ship.M), np.linalg.solve(ship.M, ship.D)
+        inertia = np.ascontiguousarray(Minv), np.ascontiguousarray(MinvD)
+        self._matrices = *inertia, rows, self._J
         self._h, self._substeps = sample_s / substeps, substeps
         self._pose = np.zeros(AXES)
 
@@ -209,19 +193,8 @@ class PassiveObserver(ModelObserver):
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
         """Advance by a sample with τ and the measured pose; return the estimate (6,)."""
-        _observer_step(
-            self._x,
-            self._pose,
-            measured,
-            tau,
-            self._Minv,
-            self._MinvD,
-            self._rows,
-            self._J,
-            self._h,
-            self._substeps if self._advance else 0,
-            self._estimate,
-            self.change,
-        )
+        substeps = self._substeps if self._advance else 0
+        inputs, out = (self._pose, measured, tau), (self._estimate, self.change)
+        _observer_step(self._x, *inputs, *self._matrices, self._h, substeps, *out)
         self._advance = True
         return self._estimate

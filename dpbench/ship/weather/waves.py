@@ -17,9 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.weather.harmonics import Harmonics, realise
-from dpbench.ship.weather.spectra import jonswap
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, random_stream
 
 WATER_DENSITY = 1026.0
 GRAVITY = 9.81
@@ -34,12 +32,8 @@ _COMPONENTS = 200
 class Sea:
     """Long-crested irregular waves.
 
-    Parameters
-    ----------
-    hs_m : significant wave height [m].
-    tp_s : peak period [s].
-    to_rad : where the waves run to, clockwise from north [rad]; `wind.towards_rad` gives it from
-        the direction they come from.
+    hs_m, tp_s : significant height [m], peak period [s].
+    to_rad : where the waves run to, clockwise from north [rad].
     gamma : peakedness, 1 (Pierson-Moskowitz) to 7.
     """
 
@@ -51,37 +45,34 @@ class Sea:
     def harmonics(self, seed: int) -> Harmonics:
         """Draw the waves of this seed, the same for drift and motion; Hs holds exactly."""
         omega_p = 2 * np.pi / self.tp_s
-        return realise(
+        return draw_harmonics(
             lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),
             (_BAND[0] * omega_p, _BAND[1] * omega_p),
             _COMPONENTS,
-            stream(seed, "waves"),
+            random_stream(seed, "waves"),
             self.hs_m**2 / 16.0,
         )
 
 
 @dataclass(frozen=True)
 class WaveDrift:
-    """Slowly varying drift in a sea; how much of it the hull feels is `WaveReflection`."""
+    """Slowly varying drift in a sea."""
 
     sea: Sea
 
     def envelope(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
-        """|Z| [m] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return |Z| [m] at the times start_s (K,) + offset_s (M,): (K, M)."""
         return np.abs(self.sea.harmonics(seed).at(start_s, offset_s))
 
 
 @dataclass(frozen=True)
 class WaveReflection:
-    """The hull at the waterline, as drift forces see it.
+    """Reflection of waves by the hull at the waterline, for drift forces.
 
     R² falls with the period, since long waves pass under the hull: R² = R₀² f(T'), f = 1 for
     T' ≤ 1, else T'⁻³ exp(1 − T'⁻³), with T' = Tz/(0.75 √B) abeam and Tz/(0.9 L^0.33) ahead and
     Tz = Tp/1.4049 (DNV-ST-0111, section 3.7).
 
-    Parameters
-    ----------
-    breadth_m : B [m].
     head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow of 22°),
         from abeam and, for the moment, from the quarters.
     """
@@ -92,7 +83,7 @@ class WaveReflection:
     yaw: float = 0.018
 
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
-        """½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
+        """Return ½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
         tz_s = sea.tp_s / 1.4049
         ahead = period_factor(tz_s / (0.9 * length_m**0.33))
         abeam = period_factor(tz_s / (0.75 * self.breadth_m**0.5))
@@ -105,7 +96,7 @@ class WaveReflection:
 
 
 def period_factor(t_prime: float) -> float:
-    """f(T'), by which the drift of long waves falls: 1 up to T' = 1 (DNV-ST-0111, section 3.7)."""
+    """Return f(T'), by which drift falls in long waves; 1 up to T' = 1 (DNV-ST-0111, 3.7)."""
     cubed = max(t_prime, 1.0) ** -3
     return float(cubed * np.exp(1.0 - cubed))
 
@@ -115,13 +106,8 @@ class FirstOrderMotion:
     """Wave-frequency motion of the ship in a sea.
 
     Along the waves it lags the elevation by a quarter period, as the water itself does; across
-    and heading follow the elevation. The operators hold at all frequencies and headings.
-
-    Parameters
-    ----------
-    sea : the waves.
-    along, across : motion per wave amplitude [m/m]; the water's own at the surface is 1.
-    heading_rad_per_m : heading per wave amplitude [rad/m].
+    and heading follow the elevation. The operators hold at all frequencies and headings; they are
+    per wave amplitude, where the water's own motion along the waves is 1.
     """
 
     sea: Sea
@@ -130,7 +116,7 @@ class FirstOrderMotion:
     heading_rad_per_m: float = 0.0
 
     def table(self, t_s: Vector, seed: int) -> Matrix:
-        """Motion and its time derivative at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        """Return motion and its rate at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
         harmonics, here = self.sea.harmonics(seed), np.zeros(1)
         c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
         columns = []

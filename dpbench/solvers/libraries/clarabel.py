@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter

@@ -15,7 +15,7 @@ from dpbench.bench.judge.force_limits import axis_limit_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.scenario.controllers.linearisation import FIXED_MODEL
+from dpbench.scenario.controllers.specification import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.contract import Policy

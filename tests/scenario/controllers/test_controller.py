@@ -13,8 +13,7 @@ from dpbench.mpc.move_limits import AxisLimit, MoveLimit
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.scenario.controllers.controller import MetricGroup, limit_tables, limits_at_samples
 from dpbench.scenario.controllers.forces import ForceController
-from dpbench.scenario.controllers.kinds import CONTROLLERS
-from dpbench.scenario.scenario import load_scenario, scenario_of
+from dpbench.scenario.scenario import CONTROLLERS, load_scenario, scenario_of
 from dpbench.scenario.tables.scenario_file import ControllerTable
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 

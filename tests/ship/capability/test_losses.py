@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, condition_of_wind
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
     dead_losses,
@@ -28,10 +28,7 @@ def azimuth(x_m: float, y_m: float, diameter_m: float = 2.0, propeller: str = "o
 def test_factors_are_the_published_ones(
     hull: CapabilityHull, thrusters: ThrusterSet, published: pd.DataFrame
 ) -> None:
-    """β_misc β_vent β_skeg of five thrusters and 36 directions, to two digits and a degree.
-
-    In a notch the thrust falls by 2.3 % a degree, which is what a rounded angle costs.
-    """
+    """β_misc β_vent β_skeg of five thrusters and 36 directions, to two digits and a degree."""
     for row in published.itertuples():
         condition = Condition(*DP_CONDITIONS[row.number])
         for i, thruster in enumerate(thrusters.thrusters):

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import TURN, dead_losses, forbidden_zones, skeg_losses
 from dpbench.ship.capability.shapes import Piece, pieces
 from dpbench.ship.thrusters import ThrusterSet
@@ -80,8 +80,7 @@ def test_corners_lie_on_the_edge_and_chords_inside(
 def test_every_piece_is_convex_and_at_most_half_a_turn(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
-    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off:
-    which the test above shows; half a turn is what two sector rows can say."""
+    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off."""
     starboard = thrusters.thrusters[1]
     zones = forbidden_zones(starboard, thrusters.thrusters)
     shape = pieces(None, zones, [], skeg_losses(starboard, hull), STEP)

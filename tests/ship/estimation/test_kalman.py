@@ -16,10 +16,9 @@ from dpbench.ship.estimation.kalman import (
     SENSOR_STD,
     KalmanFilter,
     KalmanTuning,
-    discretise,
     kalman_model,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3
@@ -65,10 +64,7 @@ def sampled(ship: Vessel, tuning: KalmanTuning, h: float) -> tuple[np.ndarray, .
 
 
 def innovations(tuning: KalmanTuning, steps: int, seed: int) -> tuple[KalmanFilter, np.ndarray]:
-    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING.
-
-    The ship is held near the origin by feedback of the estimate, which is known to the filter.
-    """
+    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING."""
     Phi, Gamma, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
     scale = np.sqrt(np.diag(Q))
     root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
@@ -104,16 +100,6 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
     np.testing.assert_allclose(model.Gamma, Gamma, rtol=1e-11, atol=1e-20)
     np.testing.assert_allclose(model.Q / np.outer(size, size), Q / np.outer(size, size), atol=1e-10)
     np.testing.assert_array_equal(model.C, C)
-
-
-def test_van_loan_gives_the_textbook_integrals() -> None:
-    """A double integrator driven by white noise has Q = [[h³/3, h²/2], [h²/2, h]]."""
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    h = 0.7
-    Phi, Gamma, Q = discretise(A, B, B, h)
-    np.testing.assert_allclose(Phi, [[1, h], [0, 1]], rtol=1e-14)
-    np.testing.assert_allclose(Gamma, [[h**2 / 2], [h]], rtol=1e-14)
-    np.testing.assert_allclose(Q, [[h**3 / 3, h**2 / 2], [h**2 / 2, h]], rtol=1e-13)
 
 
 def test_the_gain_is_where_the_riccati_iteration_comes_to_rest() -> None:

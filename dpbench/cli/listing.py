@@ -1,4 +1,4 @@
-"""Tables of the vessels, scenarios, suites and sequences that ship with the package.
+"""Tables of solvers and of the vessels, scenarios, suites and sequences of the package.
 
 Each kind imports its own work: only the cells of a suite take the planner and its kernels.
 """
@@ -11,13 +11,6 @@ from rich.console import Group, RenderableType
 
 from dpbench.cli.terminal import entry, plain, small_table
 from dpbench.report.formats import MISSING
-from dpbench.scenario.problem_files import (
-    SEQUENCES,
-    problem_names,
-    problem_path,
-    read_model,
-    sequence_path,
-)
 
 SEQUENCES_ARE = """
 Each is the exactly solved loop of the scenario it is named after, at the
@@ -25,19 +18,20 @@ horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
 K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
-def problem_list(kind: str) -> RenderableType:
-    """Make the table of the problems of a kind, in 80 columns."""
+def list_table(kind: str) -> RenderableType:
+    """Make the table of the solvers, or of the problems of a kind, in 80 columns."""
     makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (makers | {"sequences": _sequences})[kind]()
+    return (makers | {"sequences": _sequences, "solvers": _solvers})[kind]()
 
 
 def _vessels() -> RenderableType:
+    from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
 
     entries = []
-    for name in problem_names("vessels"):
-        path = problem_path("vessels", name)
-        vessel = read_model(path, VesselFile).vessel(name, str(path))
+    for name in problems.problem_names("vessels"):
+        path = problems.problem_path("vessels", name)
+        vessel = problems.read_model(path, VesselFile).vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
         surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
@@ -47,11 +41,12 @@ def _vessels() -> RenderableType:
 
 
 def _scenarios() -> RenderableType:
+    from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
     entries = []
-    for name in problem_names("scenarios"):
-        scenario = read_model(problem_path("scenarios", name), ScenarioFile)
+    for name in problems.problem_names("scenarios"):
+        scenario = problems.read_model(problems.problem_path("scenarios", name), ScenarioFile)
         controller = scenario.controller
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
@@ -63,9 +58,10 @@ def _scenarios() -> RenderableType:
 def _suites() -> RenderableType:
     from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import load_suite
+    from dpbench.scenario import problem_files as problems
 
     table = small_table("name", "cells", "asks")
-    for name in problem_names("suites"):
+    for name in problems.problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
     return table
@@ -75,10 +71,11 @@ def _sequences() -> RenderableType:
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+    from dpbench.scenario import problem_files as problems
 
     table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
-    for name in problem_names(SEQUENCES):
-        recorded = load_recorded(sequence_path(name))
+    for name in problems.problem_names(problems.SEQUENCES):
+        recorded = load_recorded(problems.sequence_path(name))
         sequence, meta = recorded.sequence, recorded.sequence.meta
         sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
         base, every = sequence.base, int(meta.get("every", 1))
@@ -90,3 +87,21 @@ def _sequences() -> RenderableType:
             "each" if every == 1 else f"each {every}th",
         )
     return Group(table, plain(SEQUENCES_ARE))
+
+
+def _solvers() -> RenderableType:
+    from dpbench.solvers.table import solver_names
+
+    return plain("\n".join(map(_solver, solver_names())))
+
+
+def _solver(name: str) -> str:
+    from dpbench.solvers.settings import describe_levels
+    from dpbench.solvers.table import available, record
+
+    # Importing all libraries takes longer than all the rest.
+    row, library = record(name), available(name, imported=False)
+    version = library.version or "" if library.ok else f"not installed: {library.reason}"
+    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+    about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
+    return entry(f"{name} {version}".rstrip(), about)
