@@ -14,14 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import as_run
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of

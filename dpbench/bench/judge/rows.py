@@ -10,7 +10,6 @@ import pandas as pd
 
 from dpbench.arrays import Flags
 from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.deadlines import deadline_metrics, longest_streak, steps_to_recover
 from dpbench.bench.judge.rules import (
     INFEASIBLE,
     UNDECIDED,
@@ -25,7 +24,12 @@ from dpbench.bench.judge.rules import (
     steps_with_answers,
     true_not_claimed,
 )
-from dpbench.bench.judge.timing import timing_metrics
+from dpbench.bench.judge.timing import (
+    deadline_metrics,
+    longest_streak,
+    steps_to_recover,
+    timing_metrics,
+)
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.scenario.scenario import scenario_once

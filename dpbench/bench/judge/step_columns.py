@@ -21,7 +21,6 @@ from dpbench.bench.judge.closed_loop import (
     Columns,
     Evaluated,
 )
-from dpbench.bench.judge.deadlines import late_columns
 from dpbench.bench.judge.rules import (
     INFEASIBLE,
     UNCERTIFIED,
@@ -32,7 +31,7 @@ from dpbench.bench.judge.rules import (
     unfinished,
     unusable,
 )
-from dpbench.bench.judge.timing import disturbed_rounds_of
+from dpbench.bench.judge.timing import disturbed_rounds_of, late_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
 from dpbench.bench.record.schema import ABSENT, AXIS_FORCES

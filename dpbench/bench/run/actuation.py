@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import (
     Clock,
     TimedSolver,

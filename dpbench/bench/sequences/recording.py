@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.bench.run.exact_loop import Part, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError

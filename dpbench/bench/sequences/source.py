@@ -26,8 +26,11 @@ from dpbench.bench.record.qp_source import (
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
-from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
-from dpbench.bench.sequences.hardest import first_of_hardest
+from dpbench.bench.sequences.loop_sequences import (
+    consequence_sequence,
+    first_of_hardest,
+    steered_rows,
+)
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError

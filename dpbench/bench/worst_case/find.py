@@ -17,7 +17,7 @@ from typing import Any
 from dpbench.bench.plan.configurations import module_of
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.interrupts import first_signal_only

@@ -86,8 +86,7 @@ def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str
 
 
 def test_polygons_become_the_circle_with_order_two() -> None:
-    """Twice the sides give away a quarter of the thrust, the most over 24 directions; and each less
-    than 1 − cos(π/s) and never less than none."""
+    """Twice the sides give away a quarter of the thrust, the most over 24 directions."""
     vessel, wind_mps = load_vessel("osv"), 20.0
     directions = [math.radians(15.0 * k + 4.0) for k in range(24)]
     circle = np.array([Frontier(vessel).best(INTACT, angle, wind_mps)[0] for angle in directions])

@@ -59,8 +59,7 @@ def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str
 
 @pytest.mark.slow
 def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
-    """A row a QP in `capability.parquet`; the plot is kept where nothing is left to run, and the
-    page draws it."""
+    """A row a QP in `capability.parquet`."""
     (tmp_path / "edge.toml").write_text(SUITE, encoding="utf-8")
     out = run_campaign(tmp_path / "edge.toml", tmp_path / "out", solvers=["quadprog"])
     table_of_run = load_capability(out)

@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace

@@ -13,7 +13,7 @@ from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.scenario.scenario import scenario_of
 from dpbench.solvers.table import Availability
 from tests.bench.judge.known_runs import exact_loop

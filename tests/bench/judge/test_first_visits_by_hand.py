@@ -68,10 +68,18 @@ def test_the_ratio_of_first_visits() -> None:
     assert found == (3.0, 0.0)
 
 
-@pytest.mark.parametrize(("steps", "known"), [(19, False), (20, True)])
-def test_twenty_pairs_of_visits_are_needed(steps: int, known: bool) -> None:
-    """With 19 steps nothing is known; a step that was not visited counts for none."""
-    log = _log([30] * steps + [0], [1] * (steps + 1), [10] * (steps + 1))
+@pytest.mark.parametrize(
+    ("first", "later", "known"),
+    [
+        ([30] * 20 + [0], 21, True),
+        ([30] * 19 + [0], 20, False),
+        ([30] * 19 + [-1], 20, False),
+        ([30] * 20, 19, False),
+    ],
+)
+def test_twenty_pairs_of_visits_are_needed(first: list[float], later: int, known: bool) -> None:
+    """A step without a first visit (0), a recorded one (−1), or a later one counts for none."""
+    log = _log(first, [1] * len(first), [10] * later)
     assert (not math.isnan(_metrics(log)[0])) is known
 
 
@@ -111,9 +119,10 @@ def test_a_slow_machine_explains_slow_first_visits() -> None:
     }
     first = [61.0] * 4 + [60.0] * 2 + [30.0] * 14
     assert _metrics(_log(first, first, [10] * 20, **slower)) == (2.0, 0.2)
-    slower["first_reference_kernel_ns"] = np.array([900, 50, 100])
-    assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
-    slower["first_reference_kernel_ns"] = np.array([900, 0, 100])
+    for around_first in (50, 0):
+        slower["first_reference_kernel_ns"] = np.array([900, around_first, 100])
+        assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
+    slower["reference_kernel_ns"] = 0.0 * kernels
     assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
 
 

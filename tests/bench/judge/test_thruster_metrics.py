@@ -46,11 +46,7 @@ def metrics_of(
     turning: AzimuthTurning | None = None,
     lost: Sequence[int] = (),
 ) -> dict[str, float]:
-    """Return the metrics of a run, by default with the limits of the intact thrusters.
-
-    The limits are those of one sample more than the run, and zero there; thrusters are lost in the
-    last sample of the run.
-    """
+    """Return the metrics of a run, by default with the limits of the intact thrusters."""
     sides = ROWS.low if low is None else low, ROWS.high if high is None else high
     tables = [np.vstack([np.broadcast_to(s, (len(f), 4)), np.zeros((1, 4))]) for s in sides]
     states = [np.zeros(3, dtype=bool)] * (len(f) - 1) + [np.isin(np.arange(3), lost)] * 2

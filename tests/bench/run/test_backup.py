@@ -16,8 +16,7 @@ from dpbench.bench.record.raw_log import BackupLog, RawLog, loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError, UnknownNameError

@@ -22,7 +22,7 @@ from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.sequences.source import log_size
 from dpbench.errors import InputError

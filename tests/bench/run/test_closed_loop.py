@@ -18,8 +18,7 @@ from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.mpc.move_limits import limit_move

@@ -28,7 +28,7 @@ from dpbench.bench.plan.suite import (
     load_suite,
 )
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -93,9 +93,7 @@ LOOPS = {
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
-    """The solver gets states, the log, the fallback and the referee the condensed problem: an
-    accurate sparse solver steers like the certified optimum, with falling limits and preview too.
-    """
+    """The solver gets states, the log, the fallback and the referee the condensed problem."""
     scenario = LOOPS[name]()
     seen = workspace()
     run = run_closed_loop(scenario, seen, formulation="sparse")
@@ -110,8 +108,7 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
-    """Steps with states along the exactly solved loop; the assessment is that of the condensed
-    sequence, whose sparse_equivalent the solver got."""
+    """Steps with states along the exactly solved loop."""
     sequence = record_sequence(load_scenario("paper").first(25))
     inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
     run = replay(sequence, inner, repeats=2, formulation="sparse")
@@ -121,8 +118,7 @@ def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
 
 
 def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
-    """Moves and forces times Δu_max, states as they are: the same problem, entry by entry. Few
-    solvers survive it in N and N·m, so none is asked."""
+    """Moves and forces times Δu_max, states as they are: the same problem, entry by entry."""
     scenario = load_scenario("paper").first(4)
     scaled, own = (
         record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.judge.force_limits import axis_limit_metrics
+from dpbench.bench.judge.control_metrics import axis_limit_metrics, control_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.scenario.controllers.linearisation import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, scenario_of
@@ -255,8 +254,7 @@ def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
 
 
 def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
-    """A thruster at its limit in a quarter of the steps, force missing in a tenth; 0.3 m against
-    some 6 m."""
+    """A thruster at its limit in a quarter of the steps, force missing in a tenth."""
     scenario, loop = load_scenario("thrusters_cascade"), exact("thrusters_cascade")
     found = metrics("thrusters_cascade")
     assert 0.2 <= found["at_limit_thrusters"] <= 0.35

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.run.run_delay import RunDelay, run_delay
+from dpbench.bench.run.timed_solver import RunDelay, run_delay
 
 
 def _work_ms(ms: float) -> None:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_log
-from dpbench.bench.judge.deadlines import longest_streak, steps_to_recover
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell
@@ -20,8 +19,7 @@ from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.run.slow_computer import WARM_UP_SOLVES, ComputationalDelay, SlowComputer
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError
@@ -236,18 +234,6 @@ def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
     assert (slow.steps["latency_ns"] <= slow.steps["total_ns"]).all()
     shorter = (slow.steps["latency_ns"] < slow.steps["total_ns"]).sum()
     assert slow.summary["interrupted"] == shorter
-
-
-def test_misses_streaks_and_recovery_are_counted() -> None:
-    """Counted by hand in a row of flags."""
-    late = np.array([0, 1, 1, 0, 0, 1, 1, 1, 0, 0], dtype=bool)
-    true = np.array([1, 1, 1, 0, 1, 1, 1, 1, 0, 1], dtype=bool)
-    assert longest_streak(late) == 3
-    # From 1 to the true answer in time of 4, from 5 to that of 9.
-    assert steps_to_recover(late, true & ~late) == 4
-    assert steps_to_recover(np.append(late, True), np.append(true & ~late, False)) is None
-    assert steps_to_recover(~late & late, true) is None
-    assert longest_streak(late[:0]) == 0
 
 
 def test_the_records_of_a_loop_on_a_hopeless_computer() -> None:

@@ -117,8 +117,7 @@ class Leaving(Workspace):
     ("name", "backup"), [("paper", ""), ("waves", "paper_active_set"), ("thrusters_cascade", "")]
 )
 def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> None:
-    """It ends bit for bit where a loop whose solver failed in that step ends: ship, estimator and
-    fallback are where they were, and the solver starts anew."""
+    """It ends bit for bit where a loop whose solver failed in that step ends."""
     steps, at = 30, 11
     scenario = load_scenario(name).first(steps)
     cell = Cell(

@@ -20,7 +20,7 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.sequences.consequence import (
+from dpbench.bench.sequences.loop_sequences import (
     AVERAGE_S,
     consequence_sequence,
     required_force,
@@ -84,8 +84,7 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
 def test_a_loss_is_held_as_far_as_the_corners_reach(
     group: str, direction: tuple[float, float, float]
 ) -> None:
-    """A millionth before the edge there is an optimum that makes the force; a millionth beyond,
-    the proof that there is none."""
+    """A millionth before the edge there is an optimum that makes the force."""
     assert RATOWNIK is not None
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
@@ -170,8 +169,7 @@ def test_what_the_run_has_lost_stays_lost() -> None:
 
 
 def test_a_cascade_has_an_analysis_too() -> None:
-    """Of the thrusters that its second QP commands: without one of them the calm is held, and a
-    force that takes them all is not."""
+    """Of the thrusters that its second QP commands."""
     case = load_scenario("thrusters_cascade")
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters

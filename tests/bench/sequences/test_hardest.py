@@ -15,7 +15,7 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.qp_source import HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
-from dpbench.bench.sequences.hardest import (
+from dpbench.bench.sequences.loop_sequences import (
     active_limits,
     first_of_hardest,
     hardest_window,
@@ -52,8 +52,7 @@ HARDNESS = [0, 1 + 1, 2 + 1, 3 + 2, 6, 1 + 1]
 
 
 def test_hardness_counts_active_limits_and_their_changes() -> None:
-    """A limit that changes its side has changed; a multiplier of 1e-12 is none; an infeasible step
-    has no active limits, and is the hardest."""
+    """A limit that changes its side has changed."""
     active = active_limits(TABLE)
     np.testing.assert_array_equal(active, ACTIVE)
     feasible = np.array([True, True, True, True, False, True])

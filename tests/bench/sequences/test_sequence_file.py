@@ -255,10 +255,7 @@ def test_what_cannot_be_put_in_its_place_leaves_nothing_behind(tmp_path: Path) -
 
 
 def test_a_file_may_call_infeasible_what_is_so_by_rounding_only() -> None:
-    """A step refuted by one bit is undecided today; a file that calls it infeasible still holds.
-
-    0 ≤ z ≤ 1 and z ≥ 1 + 2⁻⁵²: no point, by less than the rounding of its numbers.
-    """
+    """A step refuted by one bit is undecided today; a file that calls it infeasible still holds."""
     one, above = np.ones(1), np.array([1.0 + 2.0**-52])
     base = QuadraticProgram(np.eye(1), np.zeros(1), np.eye(1), above, above + 1.0, 0.0 * one, one)
     sequence = QPSequence("thin", base, base.q[None], base.l[None], base.u[None])

@@ -288,8 +288,7 @@ def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
 
 
 def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
-    """The documents speak of full size; at 1 : 70 the force is still that of its own thrusters,
-    and a start at 1 m/s one at 1/√70 m/s."""
+    """The documents speak of full size."""
     model = load_scenario("calm@cybership2")
     point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
     scenario = SearchSpace(model, 20, "case").scenario(point)
