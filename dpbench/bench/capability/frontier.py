@@ -183,11 +183,7 @@ class Frontier:
         return None
 
     def _largest(
-        self,
-        case: Case,
-        from_rad: float,
-        between: tuple[float, float],
-        choices: list[Combination],
+        self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
         """Where the best choice reaches full thrust, between a wind that is held and one that is
         not; below `low` each wind is held by some choice."""

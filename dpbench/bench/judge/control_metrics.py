@@ -19,11 +19,7 @@ AT_LIMIT = 1e-6
 
 
 def control_metrics(
-    scenario: Scenario,
-    state: Matrix,
-    u: Matrix,
-    reference: Matrix,
-    exact: ExactLoop,
+    scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
     """Metrics of a run of K steps, whatever the controller commands.
 

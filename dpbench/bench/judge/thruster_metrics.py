@@ -82,11 +82,7 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
 
 
 def _at_limits(
-    control: ThrusterControl,
-    step_max: Vector,
-    f: Matrix,
-    before: Matrix,
-    limits: Sequence[Limits],
+    control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
     """Share of steps with a thruster at its limit, and steps in which one is beyond it.
 

@@ -11,12 +11,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.run.timed_solver import (
-    Clock,
-    TimedSolver,
-    is_usable,
-    record_answer,
-)
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.scenario.controllers.cascade import CascadeController
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import Controller

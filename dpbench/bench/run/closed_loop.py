@@ -21,12 +21,7 @@ from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import (
-    Clock,
-    TimedSolver,
-    is_usable,
-    record_answer,
-)
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
@@ -132,9 +127,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _steering(
-    setup: ClosedLoopSetup,
-) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
+def _steering(setup: ClosedLoopSetup) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
     """Return the objects that answer, act without an answer, and emit: one object for all three
     with a backup or on a slow computer."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup

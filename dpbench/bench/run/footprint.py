@@ -34,10 +34,7 @@ _PASSES = 4
 
 MEMORY_SHARE = 0.4
 """Of the memory of the machine, what a cell's process may take unless its suite says otherwise."""
-_MEMORY_LIMITS = (
-    "/sys/fs/cgroup/memory.max",
-    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
-)
+_MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 """Where a container shows its own limit, of either version of control groups."""
 
 

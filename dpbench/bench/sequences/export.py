@@ -8,13 +8,7 @@ from typing import Any, Literal, get_args
 
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
-from dpbench.bench.sequences.recording import (
-    described,
-    only_step,
-    read_sequence,
-    record,
-    thinned,
-)
+from dpbench.bench.sequences.recording import described, only_step, read_sequence, record, thinned
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.referee.referee import certified

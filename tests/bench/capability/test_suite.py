@@ -46,10 +46,7 @@ def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
 
 @pytest.mark.parametrize(
     ("keys", "said"),
-    [
-        ({"vessel": "supply_mss"}, "thrusters"),
-        ({"vessel": "nowhere"}, "'nowhere'"),
-    ],
+    [({"vessel": "supply_mss"}, "thrusters"), ({"vessel": "nowhere"}, "'nowhere'")],
 )
 def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str) -> None:
     """Before anything runs."""

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from dpbench import open_workspace
+from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.control_metrics import (
     axis_limit_metrics,
     control_metrics,
     joint_limit_metrics,
 )
-from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace
 from dpbench.mpc.thruster_rows import Limits
@@ -121,3 +127,18 @@ def metrics_of(
     for group in set(of_limits) & set(ship.controller.metric_groups):
         metrics |= of_limits[group](ship, applied, in_force)
     return metrics
+
+
+def judged_loop(
+    change: Callable[[RawLog], Any] | None, name: str, units: str, steps: int
+) -> tuple[Evaluated, RawLog, Cell]:
+    """Return a short loop by daqp, its log changed before it is judged."""
+    case = load_scenario(name).first(steps)
+    given: dict[str, Any] = {"units": units}
+    cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", steps, **given)
+    workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
+    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert closed_loop(setup)
+    if change is not None:
+        change(setup.log)
+    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log, cell

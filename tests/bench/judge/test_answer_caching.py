@@ -14,10 +14,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_results, load_scenario, record_sequence, run_campaign
-from dpbench.bench.judge.answer_caching import (
-    is_remembered,
-    memory_metrics,
-)
+from dpbench.bench.judge.answer_caching import is_remembered, memory_metrics
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import in_replay
 from dpbench.bench.run.replay import ReplayRun

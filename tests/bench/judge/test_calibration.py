@@ -54,36 +54,14 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns
     for side in (-1, 1):
         assert within_bar(name, wait_ns + side * bar_ns) is True
         assert within_bar(name, wait_ns + side * (bar_ns + 0.01)) is False
-
-
-def test_the_cost_of_copying_has_no_bar() -> None:
-    """Nobody knows what copying takes, so no time of it is right or wrong."""
-    for name in ("copy_only", "some_solver"):
-        assert within_bar(name, 1e9) is None
-    assert off_by_ns("copy_only", 1e9) == 1e9
-
-
-def test_the_problems_of_a_calibration_have_an_optimum_inside_their_limits() -> None:
-    """Zero, with every limit one away on either side, at each of 200 steps of the paper's size."""
-    sequence = calibration._made_up()
-    assert (len(sequence), sequence.base.n, sequence.base.m) == (200, 15, 15)
-    for k in (0, 199):
-        qp = sequence.problem(k)
-        for lower, upper in ((qp.l, qp.u), (qp.lb, qp.ub)):
-            assert set(lower) == {-1.0} and set(upper) == {1.0}
-        assert not qp.q.any()
-        np.testing.assert_array_equal(qp.P, np.eye(15))
-    base = sequence.base
-    assert set(base.l) == {-1.0} and set(base.u) == {1.0} and not base.q.any()
+    assert within_bar("copy_only", 1e9) is None and off_by_ns("copy_only", 1e9) == 1e9
 
 
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:
     """Doing nothing takes the readings of the clock alone: one for each of its three phases."""
     found = calibrate()
     (log,) = clock
-    assert list(found.p50_ns) == [NO_OP]
-    assert log.done.tolist() == [200] * 6
-    assert log.z.shape == (6, 200, 15)
+    assert log.done.tolist() == [200] * 6 and log.z.shape == (6, 200, 15)
     assert found.p50_ns[NO_OP] % READING_NS == 0
     assert READING_NS <= found.p50_ns[NO_OP] <= 5 * READING_NS
 
@@ -93,14 +71,14 @@ def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
 ) -> None:
     """A warm-up of 1 s a step and rounds of 1, 2, 4, 8 and 16 ns a step have a median of 4.
 
-    Kernels of 5, 4, 4, 6, 6 and 4: beyond 1.25 times the best are two rounds, of 5 s in all.
+    Kernels of 9 (the warm-up), 4, 4, 6, 6 and 4: beyond 1.25 times the best are two rounds.
     """
 
     def rounds(self: ReplayRun) -> None:
         log = clock[-1]
         log.times[:] = -1
         log.times[:, :, 3] = np.array([10**9, 1, 2, 4, 8, 16])[:, None]
-        log.reference_kernel_ns[:] = np.array([5.0, 4.0, 4.0, 6.0, 6.0, 4.0])[:, None]
+        log.reference_kernel_ns[:] = np.array([9.0, 4.0, 4.0, 6.0, 6.0, 4.0])[:, None]
         log.done[:] = 200
         log.attempts[:] = 1
         log.counters[:] = np.arange(6.0)[:, None] * [1.0, 0.0, 10.0, 0.5, 0.0, 0.0]
@@ -112,19 +90,6 @@ def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
     seen = found.disturbance
     assert (seen.rounds, seen.disturbed, seen.rerun) == (5, 2.0, 0.0)
     assert (seen.seconds, seen.involuntary, seen.steal_s, seen.throttled) == (15.0, 150.0, 7.5, 0.0)
-
-
-def test_a_slow_warm_up_is_no_disturbed_round(
-    clock: list[RawLog], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its kernel took ten times the best; the five rounds that count were quiet."""
-
-    def rounds(self: ReplayRun) -> None:
-        clock[-1].reference_kernel_ns[:] = 1.0
-        clock[-1].reference_kernel_ns[0] = 10.0
-
-    monkeypatch.setattr(ReplayRun, "rounds", rounds)
-    assert calibrate().disturbance.disturbed == 0.0
 
 
 @pytest.mark.parametrize("collecting", [True, False])

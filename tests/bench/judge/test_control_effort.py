@@ -126,8 +126,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
     """
     deg = math.pi / 180.0
     exact = exact_loop(
-        [[1, 1, 0.5], [2, 2, 0.25], [7, 7, 7], [8, 8, 8]],
-        [[40, 10, 0], [5, 5, 0], [9, 9, 9]],
+        [[1, 1, 0.5], [2, 2, 0.25], [7, 7, 7], [8, 8, 8]], [[40, 10, 0], [5, 5, 0], [9, 9, 9]]
     )
     found = metrics_of(
         [[4, -3, 0.5 + 2 * deg], [2, 2, 0.25 - 4 * deg], [70, 70, 0]],
@@ -148,8 +147,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
 def test_shares_of_steps_at_a_rate_limit() -> None:
     """An increment within 1e-6 of ±10, ±5 or ±2 is at the rate limit."""
     found = metrics_of(
-        [STILL] * 5,
-        [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]],
+        [STILL] * 5, [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]]
     )
     # Surge +10, -10, +9.999991, 0; sway +5, 0, 0, -4.99999; yaw 0, 0, 1.9, -2
     assert [found[f"at_rate_{axis}"] for axis in FORCES] == [0.75, 0.25, 0.25]

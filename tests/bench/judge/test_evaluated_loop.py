@@ -8,7 +8,7 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
@@ -75,23 +75,6 @@ def test_figures_of_a_written_log(
 ) -> None:
     """Only steps that were done count, with the reference and the limits of their samples."""
     assert judged[0].metrics[name] == pytest.approx(value)
-
-
-def test_columns_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
-    """Each step has the state at its sample, and the force from there on."""
-    steps = step_rows("run", judged[1])
-    assert steps["k"].tolist() == [0, 1, 2]
-    assert steps["t_s"].tolist() == pytest.approx([0.0, 0.3, 0.6])
-    assert steps["n_m"].tolist() == [0.0, 1.0, 2.0]
-    assert steps["u_mps"].tolist() == [0.5, 0.0, 1.0]
-    assert steps["tau_x_N"].tolist() == SURGE
-    assert steps["cmd_x_N"].tolist() == [17e3, 18e3, 19e3]
-    assert steps["dtau_x_N"].tolist() == [16e3, 0.0, -1e3]
-    assert steps["fallback"].tolist() == [True, False, False]
-    assert steps["unconverged"].tolist() == [False, True, True]
-    assert steps["clipped"].tolist() == [False, False, True]
-    assert steps["total_ns"].tolist() == [100, 200, 300]
-    assert not steps["late"].any()
 
 
 def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:

@@ -64,14 +64,8 @@ def _sequence() -> QPSequence:
 
 def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
     """The rows of both tables."""
-    scenario = {"name": "made up"}
-    configuration = {
-        "solver": "planted",
-        "route": "native",
-        "policy": "fresh",
-        "settings": "default",
-    }
-    cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **configuration)
+    configuration = {"name": "made up"}, "planted", "native", "fresh", "default", STEPS
+    cell = Cell("replay", *configuration, rounds=3)
     steps = step_columns(cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
     row = run_row("planted", cell, outcome, library, "", evaluated, steps)
@@ -116,9 +110,18 @@ def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> Non
     assert disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
 
 
+def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
+    """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none; a warm-up alone."""
+    repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
+    no, yes = False, True
+    assert counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
+    assert counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
+    assert counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+    assert not counting_rows(0 * repeat, repeat == 1).any()
+
+
 def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
-    """A assessment whose first steps of each round have another certificate, as the referee has it
-    where there is no optimum: residuals of the answer, no error and nothing true."""
+    """Return a judged log whose first steps of each round have no optimum."""
     evaluated = _judged(log)
     first = evaluated.columns["k"] < count
     evaluated.columns["certificate"][first] = CERTIFICATES.index(kind)
@@ -211,15 +214,6 @@ def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
     assert errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
-def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
-    """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none."""
-    repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
-    no, yes = False, True
-    assert counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
-    assert counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
-    assert counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
-
-
 def test_medians_and_maxima_are_of_what_is_there() -> None:
     """NaN is no value; of nothing there is neither."""
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
@@ -284,6 +278,5 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
 def test_switches_explain_late_timings_in_proportion_to_timed_calls(
     switches: float, timed_share: float, explained: int
 ) -> None:
-    """A process gets a quarter of a core at least, so a share of 1 % is hit by 4 % of the
-    switches, and three standard deviations are added."""
+    """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
     assert explained_by(switches, timed_share) == explained

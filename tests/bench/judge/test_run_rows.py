@@ -93,7 +93,7 @@ def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
 def test_accuracy_of_a_known_run() -> None:
     """Shares of eight steps leave out an undecided and an uncertified one."""
     row = closed_loop_row(
-        certificate="linear gap rational linear linear undecided none infeasible".split(),
+        certificate=["linear", "gap", *["linear"] * 3, "undecided", "none", "infeasible"],
         claimed=flags("11100111"),
         true=flags("11010000"),
         true_1e4=flags("11000000"),

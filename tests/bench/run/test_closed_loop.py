@@ -202,8 +202,7 @@ def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status:
 
 
 @pytest.mark.parametrize(
-    "status",
-    [Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE, Status.ERROR, Status.TIME_LIMIT],
+    "status", [Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE, Status.ERROR, Status.TIME_LIMIT]
 )
 def test_an_iterate_under_a_failed_status_is_not_applied(
     scenario: Scenario, status: Status

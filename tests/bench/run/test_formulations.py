@@ -125,10 +125,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
     )
     assert scaled is not None and own is not None
     du, one = scenario.problem.du_max, np.ones(9)
-    moved, rest = (
-        scenario.problem.N_c,
-        np.ones((scenario.problem.N_p - scenario.problem.N_c) * 9),
-    )
+    moved, rest = (scenario.problem.N_c, np.ones((scenario.problem.N_p - scenario.problem.N_c) * 9))
     z = np.concatenate([np.tile(np.concatenate([du, du, one]), moved), rest])
     row = np.concatenate([np.tile(np.concatenate([du, one, du]), moved), rest])
     for k in range(4):

@@ -65,9 +65,7 @@ def test_calm_has_no_active_limit(loops: dict[str, tuple[Scenario, ExactLoop]]) 
     np.testing.assert_allclose(tau, exact.tau, rtol=0, atol=1e-6 * scenario.problem.du_max.min())
 
 
-def test_rough_saturates_sway_and_stays_put(
-    loops: dict[str, tuple[Scenario, ExactLoop]],
-) -> None:
+def test_rough_saturates_sway_and_stays_put(loops: dict[str, tuple[Scenario, ExactLoop]]) -> None:
     """In `rough` sway is at its amplitude limit in 15-30 % of the steps and r stays below 0.3 m."""
     scenario, exact = loops["rough"]
     at_limit = np.abs(exact.tau[:, 1]) >= scenario.vessel.tau_max[1] * (1 - 1e-9)

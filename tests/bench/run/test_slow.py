@@ -161,9 +161,7 @@ def test_clip_steers_by_the_unconstrained_law_meanwhile(scenario: Scenario) -> N
     )
 
 
-def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(
-    scenario: Scenario,
-) -> None:
+def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(scenario: Scenario) -> None:
     """Step 0 takes 1.5 samples and arrives at 2, where the own answer is in time: 0 + 0.5."""
     log = run(scenario, Timed(lambda i: (1.5, 0.5, 1e6)[i]))
     assert forces(log, scenario)[:7] == [0.0, 0.0, 0.5, 0.9, 1.2, 1.4, 1.5]

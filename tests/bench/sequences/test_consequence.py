@@ -20,11 +20,7 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.sequences.loop_sequences import (
-    AVERAGE_S,
-    consequence_sequence,
-    required_force,
-)
+from dpbench.bench.sequences.loop_sequences import AVERAGE_S, consequence_sequence, required_force
 from dpbench.bench.sequences.source import log_size, replayed
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows

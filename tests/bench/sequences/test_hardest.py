@@ -21,10 +21,7 @@ from dpbench.bench.sequences.loop_sequences import (
     hardest_window,
     hardness,
 )
-from dpbench.bench.sequences.source import (
-    replayed,
-    source_file,
-)
+from dpbench.bench.sequences.source import replayed, source_file
 from dpbench.errors import InputError
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario

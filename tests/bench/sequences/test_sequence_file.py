@@ -151,9 +151,7 @@ def test_an_si_sequence_is_written_scaled_with_its_units(tmp_path: Path) -> None
     save_sequence(tmp_path / "si.npz", si)
     a = arrays_of(tmp_path / "si.npz")
     np.testing.assert_allclose(
-        a["unit_z"],
-        np.tile(scenario.problem.du_max, scenario.problem.N_c),
-        rtol=1e-12,
+        a["unit_z"], np.tile(scenario.problem.du_max, scenario.problem.N_c), rtol=1e-12
     )
     np.testing.assert_allclose(
         a["P"] / np.outer(a["unit_z"], a["unit_z"]), si.base.P, rtol=1e-9, atol=0.0

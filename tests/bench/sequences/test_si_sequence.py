@@ -23,11 +23,7 @@ ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
 def saved(scenario: str, path: Path, steps: int = 5) -> Path:
     recorded = record(load_scenario(scenario), steps=steps)
     save_sequence(
-        path,
-        recorded.sequence,
-        recorded.optima,
-        units=recorded.units,
-        documents=recorded.documents,
+        path, recorded.sequence, recorded.optima, units=recorded.units, documents=recorded.documents
     )
     return path
 
@@ -64,9 +60,7 @@ def test_bounds_in_si_are_the_rate_limits(tmp_path: Path) -> None:
     scenario = load_scenario("paper")
     found = load_sequence(saved("paper", tmp_path / "one.npz"), units="si")
     np.testing.assert_allclose(
-        found.base.ub,
-        np.tile(scenario.problem.du_max, scenario.problem.N_c),
-        rtol=1e-15,
+        found.base.ub, np.tile(scenario.problem.du_max, scenario.problem.N_c), rtol=1e-15
     )
 
 

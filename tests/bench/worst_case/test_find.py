@@ -10,14 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench import (
-    InputError,
-    load_results,
-    load_scenario,
-    load_sequence,
-    open_workspace,
-    replay,
-)
+from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.plan.suite import sequence_suite
 from dpbench.bench.sequences.recording import record
@@ -135,11 +128,7 @@ def backs_off(path: Path) -> bool:
 @pytest.mark.alone  # What else runs could use up limits of 0.3 s.
 @pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
 def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
-    mode: str,
-    outcome: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    no_plugins: None,
+    mode: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_plugins: None
 ) -> None:
     """Those cases are counted, the first is kept beside the worst, and the budget is spent."""
     monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
@@ -255,11 +244,7 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
     """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
     scenario = SearchSpace(own, 20, "case").scenario(point)
-    assert (scenario.steps, scenario.problem.N_p, scenario.name) == (
-        20,
-        own.problem.N_p,
-        "case",
-    )
+    assert (scenario.steps, scenario.problem.N_p, scenario.name) == (20, own.problem.N_p, "case")
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
     assert (np.abs(scenario.velocity) <= [1.0, 1.0, np.radians(1.0) + 1e-12]).all()
@@ -326,10 +311,7 @@ def test_bad_input_is_one_line(
 
 @pytest.mark.parametrize("place", ["a_folder.npz", "a_file/found.npz"])
 def test_where_nothing_can_be_written_nothing_is_searched(
-    place: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A folder in the file's place, a file in the folder's: said before the search, not after."""
     monkeypatch.setattr(case_search.Search, "run", None)
