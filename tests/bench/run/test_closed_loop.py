@@ -14,18 +14,15 @@ from hypothesis import strategies as st
 
 from dpbench import load_scenario
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import Box, QPBuilder
-from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, condense, scenario_of
 from dpbench.solvers.contract import Workspace
+from tests.bench.run.loops import run_loop
 
 Answer = Callable[[int, QPStep], Solution]
 
@@ -58,15 +55,8 @@ class Scripted(Workspace):
 def run(
     scenario: Scenario, answer: Answer, fallback: str = "shifted_plan", limit_ns: int = 2**62
 ) -> tuple[RawLog, Scripted, bool]:
-    builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     workspace = Scripted(answer)
-    base = base_problem(builder.condensed)
-    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
-    setup = ClosedLoopSetup(
-        scenario, builder, timed_solver, log, fallback, limit_ns, time.perf_counter_ns
-    )
-    complete = closed_loop(setup)
+    log, complete = run_loop(scenario, workspace, fallback, limit_ns=limit_ns)
     return log, workspace, complete
 
 

@@ -4,7 +4,6 @@ lost thrusters, and what slow thrusters give."""
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import numpy as np
@@ -15,36 +14,22 @@ from qpsolvers import solve_qp
 
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.record.cell import Formulation
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import QPBuilder, in_loop
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
+from tests.bench.run.loops import run_loop
 
+AFT = {"kind": "azimuth", "x_m": -32.0, "thrust_kN": 190.0, "rise_s": 8.0}
 THRUSTERS: list[dict[str, Any]] = [
-    {
-        "name": "port",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": -5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
-    {
-        "name": "starb",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": 5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
+    AFT | {"name": "port", "y_m": -5.0},
+    AFT | {"name": "starb", "y_m": 5.0},
     {"name": "bow", "kind": "azimuth", "x_m": 26.0, "thrust_kN": 140.0, "rise_s": 6.0},
     {"name": "tunnel", "kind": "tunnel", "x_m": 30.0, "thrust_kN": 110.0, "rise_s": 5.0},
 ]
@@ -73,14 +58,10 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
 
 def steered_by(solver: str, case: Scenario, formulation: Formulation = "condensed_box") -> RawLog:
     """The log of a closed loop with a solver, without an answer the plan before."""
-    builder = QPBuilder(case, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
     policy = "warm" if solver in ("daqp", "paper_active_set") else "reuse"
     workspace = open_workspace(solver, route="native", policy=policy, settings="high")
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, "shifted_plan", 2**62, clock))
+    log, complete = run_loop(case, workspace, formulation=formulation)
+    assert complete
     return log
 
 
@@ -162,8 +143,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     lost = scenario(80, faults=[{"at_s": 6.0, "lost": ["port", "tunnel"]}])
     log = steered_by("daqp", lost)
     assert not log.flags.any()
-    builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
+    metrics = thruster_metrics(lost, log.thrust, QPBuilder(lost).thruster_limits)
     assert metrics["limit_violations"] == 0.0
     gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
@@ -175,17 +155,12 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
 def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
     """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
-    builder = QPBuilder(case)
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
-    workspace = open_workspace(
-        "daqp", route="native", policy="warm", settings={"iter_limit": 1, "primal_tol": 1e-9}
-    )
-    formulated = in_loop("condensed_box", builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
+    tight = {"iter_limit": 1, "primal_tol": 1e-9}
+    workspace = open_workspace("daqp", route="native", policy="warm", settings=tight)
+    log, complete = run_loop(case, workspace, fallback)
+    assert complete
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
+    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
     assert metrics["limit_violations"] == 0.0
 
 
