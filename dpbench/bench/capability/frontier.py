@@ -38,7 +38,7 @@ Combination = tuple[Piece, ...]
 
 @dataclass(frozen=True)
 class Case:
-    """What has failed: the numbers of the thrusters that give nothing."""
+    """A failure: the numbers of the thrusters that give nothing."""
 
     name: str
     lost: frozenset[int]
@@ -46,7 +46,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Held:
-    """What is held from one direction: the largest wind [m/s], and the DP capability number.
+    """The largest wind [m/s] held from one direction, and the DP capability number.
 
     At number 11 the wind is that of the standard's last row: nothing is known beyond.
     """
@@ -64,16 +64,12 @@ class Weather:
 
 
 class Frontier:
-    """How far the thrusters of a ship reach.
+    """Reach of the thrusters of a ship.
 
     Parameters
     ----------
     vessel : with thrusters and the hull of `[capability]`.
     sides : of the polygons in place of circles, even and at least 4; None for circles.
-
-    Attributes
-    ----------
-    weather : of a direction [rad] and a wind [m/s].
 
     Raises
     ------
@@ -115,7 +111,7 @@ class Frontier:
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), MISCELLANEOUS * np.array(vented))
 
     def pieces_of(self, case: Case) -> list[list[Piece]]:
-        """The convex pieces of each thruster (p,); one without any is as good as lost."""
+        """Return the convex pieces of each thruster (p,); one without any is lost."""
         if case.lost not in self._pieces:
             count = len(self.thrusters.thrusters)
             self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(count)]
@@ -138,24 +134,24 @@ class Frontier:
         )
 
     def lost(self, case: Case) -> frozenset[int]:
-        """Those lost, and those that may not push anywhere."""
+        """Return the lost thrusters, and those that may not push anywhere."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
     def combinations(self, case: Case) -> list[Combination]:
-        """Every choice of a piece for each thruster."""
+        """Return every choice of a piece for each thruster."""
         if case.lost not in self._choices:
             parts = [some or [Piece()] for some in self.pieces_of(case)]
             self._choices[case.lost] = list(product(*parts))
         return self._choices[case.lost]
 
     def use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
-        """The least utilisation with one choice of pieces."""
+        """Return the least utilisation with one choice of pieces."""
         weather = self.weather(from_rad, wind_mps)
         return self._utilisation.least(weather.load, weather.shares, chosen, self.lost(case))
 
     def best(self, case: Case, from_rad: float, wind_mps: float) -> tuple[float, Combination]:
-        """The least utilisation of all choices, and the choice."""
+        """Return the least utilisation of all choices, and the choice."""
         uses = [
             (self.use(case, from_rad, wind_mps, chosen), chosen)
             for chosen in self.combinations(case)
@@ -163,7 +159,7 @@ class Frontier:
         return min(uses, key=lambda use: use[0])
 
     def held(self, case: Case, from_rad: float) -> Held:
-        """The largest wind that is balanced, with all winds of the table below it."""
+        """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
             holding = self._first_that_holds(case, from_rad, wind_mps, choices)
@@ -185,8 +181,7 @@ class Frontier:
     def _largest(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
-        """Where the best choice reaches full thrust, between a wind that is held and one that is
-        not; below `low` each wind is held by some choice."""
+        """Return the wind at which the best choice reaches full thrust."""
         low, high = between
         for chosen in choices:
 

@@ -1,18 +1,14 @@
-"""Does a solver remember the answers of earlier rounds? Then its replay times are of no solver.
+"""Detection of solvers that remember the answers of earlier rounds.
 
-All rounds of a replay are the same QPs, so a table of answers, kept by the bytes of q, l, u or by
-the number of the step, answers every round but the first in no time. What it cannot do is answer a
-step that it sees for the first time: the time of each first visit is kept apart, the one of a round
-that is run again included, and held against the shortest of the later visits of the same step,
-which is what the tables print. First visits are those of round 1 beyond the warm-up, so that
-importing, compiling and first touching of memory are over; where there are too few, those of the
-warm-up.
+All rounds of a replay are the same QPs, so a table of answers answers every round but the first in
+no time. It cannot answer a step that it sees for the first time: the time of each first visit is
+compared with the shortest of the later visits of that step, which is what the tables print. First
+visits are those of round 1 beyond the warm-up, where importing and compiling are over; where there
+are too few, those of the warm-up. A table that outlives the process is found by the closed loop of
+its configuration, whose QPs it has not seen.
 
-A table that outlives the process knows the replay from its first round. It does not know the ship
-that the same configuration steers itself: the closed loop is the second witness.
-
-Moving q a little in each round instead would not cure it: a table may round its keys or count the
-steps, and identical bytes are what repeatability and paired comparisons rest on.
+Moving q a little in each round instead would not help: a table may round its keys or count the
+steps, and repeatability and paired comparisons rest on identical bytes.
 """
 
 from __future__ import annotations
@@ -26,36 +22,37 @@ from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
 
 FEWEST_VISITS = 20
-"""First visits, each with a later one, below which nothing is said."""
+"""First visits, each with a later one, below which the figures are NaN."""
 MOST_WARMING = 3.0
-"""Largest median ratio of first to later visits that is put down to warming and to the machine.
+"""Largest median ratio of first to later visits that warming and the machine explain.
 
-Of 173 honest replays of `paper` and `rough`, all solvers, routes and policies, on two cores under a
-load of three to eight, the largest was 2.15 and the median 1.00; a dictionary in place of 2 ms had
-83. A memory that gains less than this factor is not told from noise.
+Of 173 honest replays of `paper` and `rough` under a load of three to eight the largest was 2.15 and
+the median 1.00; a dictionary in place of 2 ms had 83.
 """
 SLOW_VISIT = 4.0
 """A visit that takes so many times as long as the shortest other one is slow."""
 MOST_SLOW_FIRST = 0.05
-"""Largest share of slow first visits, beyond twice that of any later round, that is put down to the
-machine: of 26 honest replays under a load of five to six the largest excess was below 0."""
+"""Largest share of slow first visits, beyond twice that of later rounds, put down to the machine.
+
+Of 26 honest replays under a load of five to six the largest excess was below 0.
+"""
 MOST_LOOP = 10.0
-"""Largest ratio of a closed loop's median step to that of the replay that is put down to caches and
-to other QPs: a replay may be a window of the loop. 15 honest pairs had 0.5 to 1.3, the dictionary
-124.
+"""Largest ratio of a closed loop's median step to the replay's that caches and other QPs explain.
+
+15 honest pairs had 0.5 to 1.3, the dictionary 124.
 """
 MOST_LOOP_TAIL = 15.0
-"""The same of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
+"""Largest such ratio of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
 
 
 def memory_metrics(log: RawLog) -> dict[str, float]:
-    """Return what first visits show; NaN with fewer than `FEWEST_VISITS` pairs of visits.
+    """Return the figures of first visits; NaN with fewer than `FEWEST_VISITS` pairs of visits.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
     one, less the factor by which the reference kernel was slower around the first visits than at
     its best. `first_visit_excess` is the share of slow first visits less twice that of slow visits
-    in any later round, and less what the switches of the first visits' round explain: a memory of
-    hard steps alone leaves the median as it is.
+    in any later round, and less what the switches of the first visits' round explain: it finds a
+    memory of hard steps alone, which leaves the median as it is.
     """
     total = step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
@@ -78,8 +75,7 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
 
 
 def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
-    """Return the share of slow first visits (K,) beyond what later rounds (R, K) and the switches
-    of their own round explain."""
+    """Return the unexplained share of slow first visits (K,), by later visits (R, K)."""
     limit = SLOW_VISIT * slower
     slow_first = np.count_nonzero(first > limit * later.min(axis=0))
     slow_later = [
@@ -96,8 +92,7 @@ def _others(later: Floats, i: int) -> Floats:
 
 
 def _explained(log: RawLog, r: int, later: Floats) -> int:
-    """Return how many slow first visits the involuntary switches of round r may explain; 0 where
-    its first attempt is not the last."""
+    """Return how many slow first visits the involuntary switches of round r may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
@@ -107,8 +102,7 @@ def _explained(log: RawLog, r: int, later: Floats) -> int:
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
-    """Return the visits (R, K) of each step after its first one in round r; inf where there is
-    none."""
+    """Return the visits (R, K) of each step after its first one in round r, inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
     rounds = range(r if log.attempts[r] > 1 else r + 1, len(log.done))
     visits = np.full((len(rounds), total.shape[1]), np.inf)
@@ -119,7 +113,7 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
 
 
 def _slower(log: RawLog, r: int) -> float:
-    """How much slower the machine was around the first attempt of round r than at its best."""
+    """Return by what factor the machine was slower around the first attempt of round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
         return 1.0
@@ -132,10 +126,7 @@ def is_remembered(
     first_visit_excess: float = np.nan,
     loop_tail_ratio: float = np.nan,
 ) -> bool:
-    """Whether the times of a replay are those of remembered answers.
-
-    A figure that is not there (no replay, too few steps, no closed loop) is NaN and marks nobody.
-    """
+    """Return whether replay times are those of remembered answers; NaN marks nothing."""
     return bool(
         first_visit_ratio > MOST_WARMING
         or loop_ratio > MOST_LOOP
@@ -148,11 +139,11 @@ _CONFIGURATION = ["scenario", *COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return `runs` with `loop_ratio` and `loop_tail_ratio`: of a replay, the median and the 90th
-    percentile of its configuration's own closed loop over its own; NaN where that configuration
-    steered no ship in that scenario without a failure.
+    """Add `loop_ratio` and `loop_tail_ratio` to runs.
 
-    A solver that fails sails elsewhere, through QPs that may well take it longer.
+    They are the median and the 90th percentile of the configuration's own closed loop over those of
+    its replay; NaN without a loop in that scenario that finished without a failed step, as a solver
+    that fails meets other QPs.
     """
     columns = {"loop_ratio": "p50", "loop_tail_ratio": "p90"}
     if not {"raw_p50_ns", "failed_steps"} <= set(runs):

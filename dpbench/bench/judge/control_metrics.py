@@ -15,18 +15,17 @@ from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import POSE, VELOCITY
 
 AT_LIMIT = 1e-6
-"""In units of the limit's own step: closer than this counts as being at the limit."""
+"""Share of the limit's own step within which a force is at the limit."""
 
 
 def control_metrics(
     scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
-    """Metrics of a run of K steps, whatever the controller commands.
+    """Return the metrics of a run of K steps that every controller has.
 
     Parameters
     ----------
-    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; u : (K, n_u) what was applied, force
-        or forces of thrusters.
+    state : (K + 1, 6) [u, v, r, n, e, ψ] at the samples; u : (K, n_u) force or thruster forces.
     reference : at least (K + 1, 3) [n, e, ψ] at the sample times.
     exact : the exactly solved loop, at least as long.
     """
@@ -63,12 +62,12 @@ def control_metrics(
 
 
 def before_each(forces: Matrix) -> Matrix:
-    """Return the force before each of K forces (K, n): nothing before the first."""
+    """Return the force before each of K forces (K, n), zero before the first."""
     return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
-    """Shares of the run in the green, yellow and red zones of a watch circle."""
+    """Return the shares of the run in the zones of a watch circle."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
     return {
@@ -79,7 +78,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
 
 
 def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
-    """Integrals of the error of each axis, and its overshoot."""
+    """Return the integrals of the error of each axis, and its overshoot."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
@@ -95,7 +94,7 @@ def _rms(values: Floats) -> float:
 
 
 def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
-    """First time from which `inside` holds for hold_s (None: to the end); inf if it never does."""
+    """Return the first time from which `inside` holds for hold_s (None: to the end), or inf."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -108,17 +107,14 @@ def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> floa
 
 
 def _overshoot(error: Vector) -> float:
-    """Furthest excursion to the other side of the reference than the start's.
-
-    From a start in the reference there is no other side, and the measure is NaN.
-    """
+    """Return the furthest error of the other sign than the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
 def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
-    """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+    """Return ½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
     problem = scenario.problem
@@ -159,11 +155,11 @@ def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]
 def axis_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
-    """Shares of steps at the limits of each axis, and steps beyond one.
+    """Return shares of steps at the limits of each axis, and the steps beyond one.
 
     Parameters
     ----------
-    tau : (K, 3) forces applied; limits : those in force, of at least K samples.
+    tau : (K, 3) applied forces; limits : of at least K samples.
     """
     du_max, before = scenario.problem.du_max, before_each(tau)
     low, high = limit_tables(limits[: len(tau)])
@@ -184,7 +180,7 @@ def axis_limit_metrics(
 def joint_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
-    """Return the same of a force limited as a whole, by what its thrusters give together."""
+    """Return such figures of a force limited by what its thrusters give together."""
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
     low, high = limit_tables(limits[: len(tau)])
@@ -204,14 +200,14 @@ def joint_limit_metrics(
 
 
 def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
-    """Shares of steps at the rate limit of each axis."""
+    """Return shares of steps at the rate limit of each axis."""
     du_max = scenario.problem.du_max
     at_rate = np.abs(tau - before_each(tau)) >= du_max - AT_LIMIT * du_max
     return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
 
 
 def _too_fast(scenario: Scenario, tau: Matrix) -> Flags:
-    """Whether each force (K, 3) is beyond the rate limits: (K,)."""
+    """Return whether each force (K, 3) is beyond the rate limits: (K,)."""
     ship, du_max = scenario.vessel, scenario.problem.du_max
     # Beyond one unit in the last place of the force itself a difference is no rounding.
     rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))

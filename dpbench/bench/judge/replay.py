@@ -1,4 +1,4 @@
-"""Judge the raw log of a replay; how it repeated itself, what disturbed it, what it took."""
+"""Evaluation of the raw log of a replay: its answers, repeatability and disturbance."""
 
 from __future__ import annotations
 
@@ -32,9 +32,12 @@ def evaluate_sequence(
     *,
     judged: bool = True,
 ) -> Evaluated:
-    """The judged columns of a replay of the sequence `own`; `optima` where they are certified.
+    """Return the evaluated columns of a replay of the sequence `own`.
 
-    Without `judged` the answers are none, and nothing is said of them.
+    Parameters
+    ----------
+    optima : of the steps, where they are certified.
+    judged : False for configurations whose answers are none.
     """
     rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
     counts = [int(log.done[r]) for r in rounds]
@@ -68,7 +71,7 @@ def _evaluate_rounds(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> None:
-    """Judge the answers of all rounds into the rows of `evaluations` and `certificates`."""
+    """Write the figures of the answers of all rounds."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     evaluator = StepEvaluator(scaled.base, own.base, units)
     place = np.empty(len(evaluations), dtype=np.intp)  # of the evaluation of each row
@@ -96,8 +99,7 @@ def _evaluate_rounds(
 
 
 def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
-    """The columns on how a replay repeats itself, over all rounds, the warm-up and disturbed ones
-    too.
+    """Return how a replay repeats itself, over all rounds, warm-up and disturbed ones included.
 
     Parameters
     ----------
@@ -105,10 +107,9 @@ def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
 
     Returns
     -------
-    Shares of the steps with two rounds or more whose status and bits of z are the same in all of
-    them, and whose count of iterations is the same; the largest difference of a z between two
-    rounds, in scaled units, and of iterations. NaN where no step was repeated, or the solver counts
-    nothing.
+    Shares of the steps with two rounds or more that have equal status and bits of z, and equal
+    iterations, in all of them; the largest difference of a z between two rounds, in scaled units,
+    and of iterations. NaN where no step was repeated, or iterations are not counted.
     """
     z, iterations, done = log.z, log.iterations, log.done
     steps = z.shape[1]

@@ -1,5 +1,4 @@
-"""Turn the columns of a judged cell into its rows of `steps.parquet` and its row of
-`runs.parquet`."""
+"""Rows of `steps.parquet` and `runs.parquet` from the columns of an evaluated cell."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ from dpbench.solvers.table import Availability
 
 
 def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
-    """The rows of `steps.parquet` of one cell."""
+    """Return the rows of `steps.parquet` of one cell."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
@@ -57,7 +56,7 @@ def run_row(
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """The row of `runs.parquet` of one cell; a cell without steps has its identity only.
+    """Return the row of `runs.parquet` of one cell; without steps, its identity only.
 
     Parameters
     ----------
@@ -109,14 +108,14 @@ def run_row(
 
 
 def _deadline_s(cell: Cell) -> float:
-    """The budget of a step [s]; NaN in a replay, which has none."""
+    """Return the budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
     return cell.deadline_s or scenario_once(cell.scenario).sample_s
 
 
 def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
+    """Return horizons and size of the QP; null where there are none."""
     scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
@@ -155,8 +154,7 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
 
 
 def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
-    """Return the largest error and the failed steps of all rounds: no disturbance excuses a wrong
-    answer, and a fault on a first visit may be in the warm-up alone."""
+    """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
     charged = select_rows(steps, steps["certificate"] != UNDECIDED)
     return {
         "error_move_max": largest(errors(charged)),
@@ -166,12 +164,11 @@ def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
 
 
 def _mean(flags: Flags) -> float:
-    """Their share; NaN of none."""
     return float(flags.mean()) if len(flags) else float("nan")
 
 
 def _backup(steps: StepColumns) -> dict[str, Any]:
-    """The columns on a backup; none without one."""
+    """Return the columns on a backup; none without one."""
     if "backup" not in steps:
         return {}
     asked = steps["backup_ns"] > ABSENT

@@ -1,7 +1,7 @@
-"""Judged columns of a cell → the columns of its steps: one array for each of `steps.parquet`.
+"""Columns of the steps of a cell: one array for each column of `steps.parquet`.
 
-Plain arrays, as a cell of a hundred steps would spend ten times its loop in data frames. A column
-that a run has not is left out; a whole number that is missing is `ABSENT`.
+Plain arrays, as data frames would take ten times as long as a loop of a hundred steps. A column
+that a run has not is left out; a missing integer is `ABSENT`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_once
 
 INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
-"""The columns of the phases that are the solver's."""
+"""Columns of the phases of a solver."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
 _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
@@ -48,7 +48,7 @@ _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
 def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
-    """The columns of the recorded steps of a cell."""
+    """Return the columns of the recorded steps of a cell."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _of_qps(columns, asked)
@@ -81,7 +81,7 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
 
 
 def _of_backup(columns: Columns) -> StepColumns:
-    """What is recorded of a backup in each step; nothing without one."""
+    """Return the columns of a backup in each step; none without one."""
     if f"{OF_BACKUP}asked" not in columns:
         return {}
     own = {
@@ -99,14 +99,12 @@ def _of_backup(columns: Columns) -> StepColumns:
 
 
 def _waited_ns(steps: StepColumns) -> Ints:
-    """(K,) what a loop that waits for answers waited in each step: for the backup too."""
     total = steps["total_ns"]
     return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
 
 
 def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
-    """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
-    all."""
+    """Return the columns of answers to QPs, of the steps `asked` (K,); None for all."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
@@ -128,13 +126,13 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
 
 
 def joined(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Steps of a cascade, from the columns of its two QPs (K rows each).
+    """Join the columns of the two QPs of a cascade's steps, K rows each.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no
     feasible point, and the second is not solved; where the right answer to either is not known,
-    that to the step is not. All else is of the first; of the second, `allocation_ns` is the time
-    and `allocation_error` that of its first move.
+    that to the step is not. All else is of the first; `allocation_ns` and `allocation_error` are
+    the time and the error of the first move of the second.
     """
     both = first.copy()
     for name in ("claimed", "true", "true_1e4", "true_1e6"):
@@ -153,7 +151,6 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
 
 
 def _whole(values: NDArray[Any]) -> Ints:
-    """Whole numbers, each that is not there as `ABSENT`."""
     return np.maximum(values.astype(np.int64), ABSENT)
 
 
@@ -169,11 +166,7 @@ def _of_ship(columns: Columns) -> StepColumns:
 
 
 def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """Return (N,) the time of each step: of its phases, and of the second QP of a cascade.
-
-    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
-    is there.
-    """
+    """Return the time (N,) of each step: its phases and a second QP; `ABSENT` without any phase."""
     phases = [steps[phase] for phase in INSIDE]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)
@@ -184,7 +177,7 @@ def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
 
 
 def change_of(values: Floats, k: NDArray[Any]) -> Floats:
-    """Return (N,) the change against the row before; against zero where a run begins, at k = 0."""
+    """Return the change (N,) against the row before; against zero at k = 0."""
     before = np.roll(values, 1)
     before[k == 0] = 0.0
     change: Floats = values - before

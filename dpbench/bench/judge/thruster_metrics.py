@@ -1,7 +1,7 @@
-"""What a controller that commands thrusters asks of them: thrust, power, wear, limits.
+"""Metrics of controllers that command thrusters: thrust, power, wear, limits.
 
-Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is told
-by how much its thrust varies and how far its azimuth travels.
+Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is
+measured by how much its thrust varies and how far its azimuth travels.
 """
 
 from __future__ import annotations
@@ -22,10 +22,7 @@ PUSHING = 0.01
 
 
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
-    """Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 of each step of f (K, n_f): (K,) each.
-
-    Nothing where no thrusters are commanded.
-    """
+    """Return Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 (K,) of f (K, n_f), if thrusters are commanded."""
     control = scenario.controller.commanded
     if control is None:
         return {}
@@ -36,11 +33,11 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 
 
 def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
-    """Metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
+    """Return the metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
 
     Parameters
     ----------
-    limits : those of the thrusters in force, of at least K samples.
+    limits : of the thrusters, of at least K samples.
     """
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
@@ -65,7 +62,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
 
 
 def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
-    """How far azimuths turned while pushing [°], and how often other thrusters reversed."""
+    """Return how far azimuths turned while pushing [°], and how often others reversed."""
     turned, reversals = 0.0, 0
     parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
     for thruster, at in parts:
@@ -84,7 +81,7 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
 def _at_limits(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Share of steps with a thruster at its limit, and steps in which one is beyond it.
+    """Return the share of steps with a thruster at its limit, and the steps with one beyond it.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """

@@ -1,4 +1,4 @@
-"""The columns of `runs.parquet` on step times, from the judged steps of one cell."""
+"""Columns of `runs.parquet` on step times and deadlines, from the steps of one cell."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Steps = Mapping[str, NDArray[Any]]
 
 
 def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:
-    """Step times over the steps that count; percentiles where the samples support them."""
+    """Return step times over the steps that count; percentiles where samples support them."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
     second = f"{OF_SECOND}setup_once_ns"
@@ -61,10 +61,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
 
 
 def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """The rounds (R,), and the values (R, K) by round and step; NaN where a round has no such step.
-
-    Only steps that some round has.
-    """
+    """Return the rounds (R,), and values (R, K) by round and step, NaN for a missing step."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -73,7 +70,7 @@ def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Float
 
 
 def _parts(counting: Steps) -> dict[str, float]:
-    """The times of both QPs of a cascade by themselves; nothing of other loops."""
+    """Return the times of both QPs of a cascade; none of other loops."""
     if "allocation_ns" not in counting:
         return {}
     second = counting["allocation_ns"].astype(np.float64)
@@ -86,14 +83,14 @@ def _parts(counting: Steps) -> dict[str, float]:
 
 
 def reference_kernel_median(columns: Columns) -> float:
-    """Median over rounds of the reference kernel, the better of its timings around a round [ns]."""
+    """Return the median over rounds of the better reference kernel time [ns]."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
     return median(best[np.isfinite(best)])
 
 
 def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """The load kernel as a step is timed [ns]: per pass the minimum over the rounds that count.
+    """Return the load kernel time [ns]: per pass the minimum over the rounds that count.
 
     Of the passes before and after a round the geometric mean.
     """
@@ -105,7 +102,7 @@ def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
 
 
 def disturbed_rounds_of(columns: Columns) -> NDArray[np.int32]:
-    """The disturbed rounds of a judged replay."""
+    """Return the disturbed rounds of an evaluated replay."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
     return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
 
@@ -113,11 +110,11 @@ def disturbed_rounds_of(columns: Columns) -> NDArray[np.int32]:
 def late_columns(
     delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
-    """`late` and, on a slow computer, `latency_ns` of the steps of a loop.
+    """Return `late` and, on a slow computer, `latency_ns` of the steps of a loop.
 
     Parameters
     ----------
-    latency_ns : (K,) as the slow computer left them; total_ns : (K,) measured times.
+    latency_ns : (K,) of the slow computer; total_ns : (K,) measured times.
     """
     if not delay.simulated:
         return {"late": total_ns > delay.budget_ns}
@@ -127,13 +124,13 @@ def late_columns(
 
 
 def longest_streak(flags: Flags) -> int:
-    """Longest run of true entries."""
+    """Return the length of the longest run of true entries."""
     starts, ends = _runs(flags)
     return int((ends - starts).max()) if len(starts) else 0
 
 
 def steps_to_recover(bad: Flags, good: Flags) -> int | None:
-    """Most steps from the start of a bad run to the next good one; None if none, or never."""
+    """Return the most steps from the start of a bad run to a good one, or None."""
     starts, _ = _runs(bad)
     good_at = np.flatnonzero(good)
     after = np.searchsorted(good_at, starts)
@@ -144,13 +141,13 @@ def steps_to_recover(bad: Flags, good: Flags) -> int | None:
 
 
 def _runs(flags: Flags) -> tuple[Ints, Ints]:
-    """First entries of the runs of true ones, and the entries after their last."""
+    """Return the first entries of the runs of true ones, and the entries after their last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return edges[::2], edges[1::2]
 
 
 def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
-    """Misses, streaks and recovery of a loop, in step order; latencies too where it is slow."""
+    """Return misses, streaks and recovery of a loop; latencies too where it is slow."""
     late, true = steps["late"], steps["true"]
     recovered = steps_to_recover(late, true & ~late)
     total = _there(steps["total_ns"])
@@ -169,5 +166,5 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 
 def _there(times_ns: Ints) -> Floats:
-    """Those of the times that are not missing."""
+    """Return the times that are not missing."""
     return times_ns[times_ns > ABSENT].astype(np.float64)

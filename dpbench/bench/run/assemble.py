@@ -1,4 +1,4 @@
-"""A run made ready: what a cell or a sequence says of it, its raw log, and the solver timed."""
+"""Assembly of runs: closed loop or replay, raw log and timed solver, from a cell or sequence."""
 
 from __future__ import annotations
 
@@ -35,18 +35,17 @@ def closed_loop_setup(
     *,
     hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
-    """The closed loop that a cell describes, along a scenario of as many steps.
+    """Return the closed loop that a cell describes, along a scenario of as many steps.
 
     Parameters
     ----------
-    hung : steps in which an earlier process of the cell hung, in their order; `new_log` opens its
-        log. The controller's solver is taken for the one that hung; where a step is there twice,
-        the backup and the second solver of a cascade too.
+    hung : steps in which an earlier process of the cell hung, in order; `new_log` opens its log.
+        For a step that is there twice, the backup and the second solver of a cascade hung too.
 
     Raises
     ------
-    InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
-        be, or a backup or a cascade's second workspace that cannot be opened.
+    InputError : "sparse" for a scenario without stages, an impossible slow-down or deadline, or a
+        backup or second workspace of a cascade that cannot be opened.
     """
     scenario = as_run(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
@@ -90,7 +89,7 @@ def _timed(
     *,
     skips: bool = True,
 ) -> TimedSolver:
-    """A solver of a loop; of one that goes on behind the step `hung`, as in `ResumedSolver`."""
+    """Return the solver of a loop, or one that resumes after the step `hung`."""
     if hung is None:
         return TimedSolver(workspace, formulated, clock)
     return ResumedSolver(
@@ -99,8 +98,10 @@ def _timed(
 
 
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
-    """The workspace of a backup, by its own interface where the solver has that, that is set up
-    from nothing at every step; InputError where it cannot be opened."""
+    """Return the workspace of a backup, which is set up from nothing at every step.
+
+    InputError where it cannot be opened.
+    """
     route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
@@ -108,7 +109,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
 
 def as_run(cell: Cell, scenario: Scenario) -> Scenario:
-    """Return the scenario as a cell runs it, with the baseline law in all of its QPs or in none."""
+    """Return the scenario of a cell, with the baseline law in all of its QPs or in none."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())
@@ -121,11 +122,9 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """A sequence as the solver gets it, the solver, and a log of the warm-up and `rounds`.
+    """Return the steps as the solver gets them, the solver, and a log of the warm-up and `rounds`.
 
-    Raises
-    ------
-    InputError : "sparse" for QPs without a scenario behind them.
+    InputError for "sparse" QPs that have no scenario.
     """
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
     steps, formulated = in_replay(formulation, sequence)

@@ -2,9 +2,8 @@
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
-is the force that was *applied*; how it reaches the ship is in `actuation.py`. Only the solver's
-call stands between two clock reads of its phases. On a slow computer (`slow_computer.py`) another
-stands in for solver and fallback; the loop is the same.
+is the force that was *applied*. Only the solver's call stands between two clock reads of its
+phases.
 """
 
 from __future__ import annotations
@@ -32,18 +31,16 @@ from dpbench.ship.plant import SUBSTEPS, Plant
 
 Emit = Callable[[int, Vector, Vector], QPStep]
 Both = LoopWithBackup | SlowComputer
-"""What replaces solver and fallback in the loop."""
 
 
 @dataclass(slots=True, eq=False)
 class ClosedLoopSetup:
-    """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
+    """The parts of a closed loop.
 
-    `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
-    tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
-    ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
-    solver of a cascade's second QP; `drawn` what is known of the weather beforehand; `backup` the
-    second solver, where there is one.
+    `fallback` acts without a usable answer; `limit_ns` of own run time end the run. `delay` is that
+    of a slow computer, None where the ship waits for each answer; `usage` counts preemptions there.
+    `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
+    the second solver.
     """
 
     scenario: Scenario
@@ -61,12 +58,7 @@ class ClosedLoopSetup:
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
-    """Run the scenario with the solver behind the clock and record every step in the log.
-
-    Returns
-    -------
-    True when all steps were done, False when the time limit stopped the run after a step.
-    """
+    """Run a scenario and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
     plant = _plant(scenario)
@@ -128,8 +120,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
 
 
 def _steering(setup: ClosedLoopSetup) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
-    """Return the objects that answer, act without an answer, and emit: one object for all three
-    with a backup or on a slow computer."""
+    """Return the objects that answer, act without an answer, and emit; they may be one."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
     law = FALLBACKS[setup.fallback](
@@ -148,7 +139,7 @@ def _steering(setup: ClosedLoopSetup) -> tuple[TimedSolver | Both, FallbackPolic
 
 
 def _plant(scenario: Scenario) -> Plant:
-    """The true ship in its start, in this weather, behind these actuators."""
+    """Return the true ship in its start, in this weather, with these actuators."""
     return Plant(
         scenario.true_ship,
         scenario.first_state,

@@ -1,7 +1,7 @@
-"""The QPs of a run: what the builder emits at step k for the state, the reference and the limits of
-that step.
+"""The QPs of a run, and formulations of them for a solver.
 
-The loop emits along the way; evaluators and sequences emit the same QPs again from the recorded θ.
+The loop emits QPs along the way; evaluators and sequences emit them again from the recorded θ.
+Whatever the solver is given, logs, fallback and referee use the condensed problem.
 """
 
 from __future__ import annotations
@@ -27,17 +27,12 @@ from dpbench.scenario.scenario import Scenario
 class QPBuilder:
     """Emits the QPs of a scenario.
 
-    Parameters
-    ----------
-    scenario : the run; units : of the QPs; sparse : whether they keep the states.
-
     Attributes
     ----------
-    condensed : the builder of the condensed QPs; staged : that of the sparse ones, if they are
-        meant.
-    reference (K + N_p, 3) : what is wanted at each sample; limits (K) : what is allowed of u.
-    allocation : the builder of second QPs, which allocate the force; None where there are none.
-    thruster_limits (K) : what is allowed of thrusters that are commanded.
+    condensed : builder of the condensed QPs; staged : of the sparse ones, if they are meant.
+    reference (K + N_p, 3) : wanted pose at each sample; limits (K) : of u.
+    allocation : builder of a cascade's second QPs; None where there are none.
+    thruster_limits (K) : of thrusters that are commanded.
     """
 
     def __init__(
@@ -61,8 +56,7 @@ class QPBuilder:
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
-        """n and m of the condensed QPs, the length of [θ; 1], n_f, and of a cascade n and m of its
-        second QP, zero where it has none."""
+        """Sizes n, m, len [θ; 1], n_f, and (n, m) of a cascade's second QP, 0 without a QP."""
         second = (0, 0) if self._allocates else None
         if self.allocation is not None:
             second = self.allocation.n, self.allocation.m
@@ -70,7 +64,7 @@ class QPBuilder:
         return condensed.n, condensed.m, int(condensed.Z.shape[1]), self._n_f, second
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k: x (9,), u_prev (n_u,) as for `CondensedQP.emit`."""
+        """Emit the QP of step k for x (9,), u_prev (n_u,)."""
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
         limits = self.limits[k]
@@ -79,14 +73,13 @@ class QPBuilder:
         return self._emit(x, y_ref, u_prev, limits=limits)
 
     def rebuild(self, k: int, theta: Vector) -> QPStep:
-        """The QP of step k from its recorded [x; y_ref; u_prev; 1]."""
+        """Return the QP of step k from its recorded [x; y_ref; u_prev; 1]."""
         model = self.condensed.control.model
         n_x, n_y = model.n_x, model.n_y
         return self.emit(k, theta[:n_x], theta[n_x + n_y : -1])
 
     def allocate(self, k: int, demand: Vector, f_prev: Vector) -> QPStep:
-        """The second QP of step k of a cascade: demand (3,), f_prev (n_f,) as for
-        `AllocationQP.emit`."""
+        """Emit the second QP of step k of a cascade for demand (3,), f_prev (n_f,)."""
         assert self.allocation is not None, "a QP allocates"
         limits = self.thruster_limits[k]
         if limits is self.allocation.allocation.rows.intact:
@@ -94,7 +87,7 @@ class QPBuilder:
         return self.allocation.emit(demand, f_prev, limits=limits)
 
     def allocate_again(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
-        """The second QP of step k from the recorded demand (K, 3) and forces (K, n_f)."""
+        """Return that QP from the recorded demand (K, 3) and forces (K, n_f)."""
         return self.allocate(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
 
 
@@ -102,34 +95,28 @@ NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose
 
 
 class Formulated(Protocol):
-    """One formulation of a sequence of QPs.
-
-    Attributes
-    ----------
-    base : the problem a workspace is set up with, in this formulation.
-    """
+    """A formulation of a sequence of QPs; `base` is the problem of its set-up."""
 
     base: QuadraticProgram
 
     def step(self, step: QPStep) -> QPStep:
-        """What the solver gets of an emitted step; a part of emitting it.
+        """Return what the solver gets of an emitted step, in arrays of its own.
 
-        New matrices become those of `base`, so that a later step without any is solved with the
-        same ones. Of the arrays that go to the solver nobody else keeps any.
+        New matrices become those of `base`, for later steps without any.
         """
 
     def solution(self, answer: Solution) -> Solution:
-        """The answer to the condensed problem."""
+        """Return the answer to the condensed problem."""
 
 
 class Box:
-    """The condensed problem as it is emitted: nothing to do."""
+    """The condensed problem as it is emitted."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         self.base = base
 
     def step(self, step: QPStep) -> QPStep:
-        """The step itself."""
+        """Return the step itself."""
         # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
@@ -137,7 +124,7 @@ class Box:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """The answer itself."""
+        """Return the answer itself."""
         return answer
 
 
@@ -149,36 +136,28 @@ class Stacked(Box):
         self._m = base.m
 
     def step(self, step: QPStep) -> QPStep:
-        """The step with all limits as one-sided rows."""
+        """Return the step with all limits as one-sided rows."""
         return super().step(stack_step(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
-        """The multipliers of both sides of a row joined."""
+        """Join the multipliers of both sides of each row."""
         return unstack(answer, self._m)
 
 
 class Sparse(Box):
-    """The stage-ordered problem: its steps are emitted as such, its answers are condensed.
-
-    Parameters
-    ----------
-    base : a problem of the sequence; condensed : maps an answer (`StagedQP.condensed`).
-    """
+    """The stage-ordered problem, emitted as such; `condensed` maps its answers back."""
 
     def __init__(self, base: QuadraticProgram, condensed: Callable[[Solution], Solution]) -> None:
         super().__init__(base)
         self._condensed = condensed
 
     def solution(self, answer: Solution) -> Solution:
-        """The moves and the multipliers of their limits."""
+        """Return the moves and the multipliers of their limits."""
         return self._condensed(answer)
 
 
 def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Formulated:
-    """The formulation of a closed loop; `base` is a condensed problem of the builder.
-
-    The steps of "sparse" are those of a builder that was told so.
-    """
+    """Return the formulation of a closed loop; `base` is a condensed problem of the builder."""
     if builder.staged is None:
         return _of_condensed(formulation, base)
     model = builder.staged.control.model
@@ -188,12 +167,7 @@ def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
 
 
 def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Formulated]:
-    """The steps to replay and their formulation; those of "sparse" are all made here, once.
-
-    Raises
-    ------
-    InputError : for "sparse", where nobody knows the model behind the QPs.
-    """
+    """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
         return sequence, _of_condensed(formulation, sequence.base)
     if sequence.sparse_equivalent is None:

@@ -44,18 +44,15 @@ from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]
-"""Counts so far: how often the kernel took the processor away, and processor time used [ns]."""
+"""Counts so far: involuntary switches, and processor time used [ns]."""
 NOT_RUN = (-1, -1, -1, -1)
 NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
-"""Stands for the QP of a step in which the processor is busy."""
+"""Placeholder for the QP of a step in which the processor is busy."""
 
 
 @dataclass(frozen=True)
 class ComputationalDelay:
-    """How slow the computer is, and how long it may take.
-
-    slowdown : ≥ 1; budget_ns : of a step; sample_ns : between two steps.
-    """
+    """Slow-down (≥ 1) of a computer, its budget for a step, and the sample time [ns]."""
 
     slowdown: float
     budget_ns: int
@@ -63,33 +60,33 @@ class ComputationalDelay:
 
     @property
     def simulated(self) -> bool:
-        """Whether answers may arrive late; without a slow-down the loop waits for each."""
+        """Whether answers may arrive late; else the loop waits for each."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Latency of an answer that took so long here; at most what 64 bits hold."""
+        """Return the latency of an answer that took so long; at most 2^62."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
     def samples_late(self, latency_ns: int) -> int:
-        """Samples until an answer can be applied; 0 for one in time."""
+        """Return the samples until an answer applies; 0 for one in time."""
         if latency_ns <= self.budget_ns:
             return 0
         return max(1, -(-latency_ns // self.sample_ns))
 
 
 def usage_of_process() -> tuple[int, int]:
-    """Involuntary context switches and processor time [ns] of this process (getrusage)."""
+    """Return involuntary context switches and processor time [ns] (getrusage)."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
 def never_preempted() -> tuple[int, int]:
-    """Nobody else wants the processor."""
+    """Return the counts of a process that is never interrupted."""
     return 0, 0
 
 
 def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """The delay of a closed-loop cell; InputError for one that cannot be."""
+    """Return the delay of a closed-loop cell; InputError for one that cannot be."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -102,21 +99,17 @@ def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
 
 
 class SlowComputer:
-    """Solver and fallback of a loop on one slow processor; stands in for both in the loop.
+    """Solver and fallback of a loop on one slow processor; replaces both in the loop.
 
     Parameters
     ----------
-    delay : how slow; solver : timed; builder : of the run; law : what acts without an answer.
-    latency_ns : (K,) where the latency of each answer goes, −1 where no computation began.
-    usage : what the kernel says of this process.
-    backup : steps in where the solver fails or is stopped at its deadline; None for none.
+    latency_ns : (K,) receives the latency of each answer, −1 where no computation began.
+    backup : acts where the solver fails or is stopped at its deadline.
 
     Attributes
     ----------
-    phases_ns, waited_ns : as of `TimedSolver`, all −1 and 0 in a step in which no computation
-        began.
-    acted : whether the last move was the fallback's or the backup's, and not one of an answer of
-        the solver that is in time or arrived just now.
+    phases_ns, waited_ns : as of `TimedSolver`; −1 and 0 in a step without a computation.
+    acted : whether the last move was not of an answer that is in time or arrived just now.
     """
 
     def __init__(
@@ -155,11 +148,11 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the solver."""
+        """Updates of the solver."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
+        """Set up as `TimedSolver.prepare`, then solve until nothing is cold."""
         spent = self._solver.prepare()
         self._solver.warm_up(WARM_UP_SOLVES)
         if self._backup is not None:
@@ -167,7 +160,7 @@ class SlowComputer:
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k; `NO_STEP` while the processor is busy. A plan that is due arrives."""
+        """Emit the QP of step k, `NO_STEP` while busy; a plan that is due arrives."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
@@ -177,7 +170,7 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """The step in the formulation of the solver."""
+        """Return the step in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
@@ -200,7 +193,7 @@ class SlowComputer:
         return solution
 
     def _timed(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
-        """A solver's answer and its latency [ns]."""
+        """Return a solver's answer and its latency [ns]."""
         switches, used_ns = self._usage()
         solution = solver.answer(step)
         switches_after, used_after_ns = self._usage()
@@ -214,7 +207,7 @@ class SlowComputer:
         return solution, self._delay.latency_ns(step_ns)
 
     def _step_in(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
-        """Let the backup solve the step from `begins_ns` after t_k on, until the sample ends."""
+        """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
         answer, latency_ns = self._timed(backup.solver, step)
         plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
         backup.log.ready_ns[self._k] = ready_ns
@@ -227,11 +220,11 @@ class SlowComputer:
             self._expect(plan, of_backup=True)
 
     def _expect(self, moves: Matrix, *, of_backup: bool) -> None:
-        """Keep a plan (N_c, n_u) that arrives when the processor is free."""
+        """Store a plan (N_c, n_u) that arrives when the processor is free."""
         self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
     def remember(self, moves: Matrix) -> Vector:
-        """Take the usable plan (N_c, n_u) of this step; Δu (n_u,) of what is at hand by now."""
+        """Take the usable plan (N_c, n_u) of this step; return Δu (n_u,)."""
         if self._stopped:
             self._solver.reset()
             return self._go_on()
@@ -242,7 +235,7 @@ class SlowComputer:
         return self._law.remember(moves)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Δu (n_u,) in a step that has no usable answer of its own."""
+        """Return Δu (n_u,) in a step without a usable answer of its own."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
         if self._busy or self._in_place is None:
             return self._go_on()
@@ -257,12 +250,12 @@ class SlowComputer:
         self._backup.log.acted[self._k] = 1
 
     def reset(self) -> None:
-        """As `TimedSolver.reset`, unless the solver was not asked."""
+        """Reset the solver, unless it was not asked."""
         if not self._busy:
             self._solver.reset()
 
     def _go_on(self) -> Vector:
-        """Δu (n_u,) without an answer in time: of the plan that arrives now, or the fallback's."""
+        """Return Δu (n_u,) of the plan that arrives now, or of the fallback."""
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
             self._backup_acts()

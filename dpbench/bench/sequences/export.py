@@ -31,21 +31,16 @@ def export(
     at: int | None = None,
     part: Part = "controller",
 ) -> str:
-    """Write the QPs of a scenario or a sequence to `out`, every one certified.
+    """Write the QPs of a scenario or a sequence to `out`, every one certified; return a line on it.
 
     Parameters
     ----------
-    what : a scenario by name or TOML path, a sequence (a stored one by name, or a `.npz`), or a
-        folder of qpsolvers problems.
+    what : a scenario by name or TOML path, a sequence by name or `.npz`, or a folder of qpsolvers
+        problems.
     out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
-    steps, every : the first so many steps, and of these each `every`-th.
-    at : this step alone instead.
+    steps, every : the first so many steps, and of these each `every`-th; at : one step instead.
     part : "allocation" for the second QPs of a cascade; of a scenario only.
-
-    Returns
-    -------
-    One line that says what was written.
 
     Raises
     ------
@@ -73,7 +68,7 @@ def export(
 
 
 def check_asked(options: dict[str, Any]) -> None:
-    """Either --all, with nothing that chooses, or WHAT and --out; InputError for anything else."""
+    """Check that --all comes alone, or WHAT with --out; InputError for anything else."""
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
             raise SituationError("export", "name WHAT and its file by --out, or give --all")
@@ -117,7 +112,7 @@ def _recorded(
 
 
 def _only(recorded: Recorded, k: int) -> Recorded:
-    """Step k alone, certified anew."""
+    """Return step k alone, certified."""
     sequence = only_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certified(sequence))
 

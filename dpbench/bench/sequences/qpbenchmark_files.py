@@ -1,7 +1,6 @@
-"""Write a sequence as a test set of `qpbenchmark` 2.7: a Parquet table and the class reading it.
+"""Test sets of `qpbenchmark` 2.7: a Parquet table and the class reading it.
 
-The table holds what `qpbenchmark.ProblemList` holds: P, q, G, h, A, b, lb, ub, flattened by rows,
-and a name per problem. qpbenchmark itself is not needed to write it.
+The table has P, q, G, h, A, b, lb, ub, flattened by rows, and a name per problem.
 """
 
 from __future__ import annotations
@@ -55,13 +54,7 @@ class {class_name}(ParquetTestSet):
 
 
 def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
-    """Write `<stem>.parquet` and `<stem>.py`; the name of `out` without its suffix is the stem.
-
-    Steps without a certified optimum are left out, for qpbenchmark knows problems with one only.
-
-    Returns
-    -------
-    The two paths.
+    """Write `<stem>.parquet` and `<stem>.py`, without the steps that have no certified optimum.
 
     Raises
     ------
@@ -85,13 +78,13 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
 
 
 def with_optimum(recorded: Recorded) -> list[int]:
-    """The steps of a sequence whose optimum is certified."""
+    """Return the steps of a sequence whose optimum is certified."""
     optima = recorded.optima or []
     return [k for k, optimum in enumerate(optima) if np.isfinite(optimum.bound)]
 
 
 def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
-    """Some steps of a sequence as the table that `qpbenchmark.ParquetTestSet` reads."""
+    """Return some steps of a sequence as a table for `qpbenchmark.ParquetTestSet`."""
     first, every = (int(sequence.meta.get(*key)) for key in (("first", 0), ("every", 1)))
     digits = len(str(first + every * (len(sequence) - 1)))
     # Names tell the step of the run, and go on a command line without quotes.
@@ -108,10 +101,9 @@ def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
 
 
 def qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
-    """P, q, G, h, A, b, lb, ub of a problem in the form of qpsolvers, None where it has none.
+    """Return P, q, G, h, A, b, lb, ub of a problem in the form of qpsolvers, None for none.
 
-    Rows with l = u become equalities; of the others the upper sides come first, then the lower
-    ones, each without its infinite limits.
+    Rows with l = u become equalities; of the others the upper sides come first.
     """
     form = OneSidedForm(qp, "dense", "native")
     form.fill(qp.q, qp.l, qp.u)

@@ -51,13 +51,12 @@ _TEXTS = ("format", "name", "meta", "documents")
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A sequence in scaled units with its certified optima, None where nobody has certified it yet.
+    """A sequence in scaled units with its certified optima, None where it is not certified yet.
 
     Parameters
     ----------
     units : what 1 is in SI; None where the QPs have no units but their own.
-    documents : what the scenario was made from (`Scenario.files`), or the capability plot that the
-        QPs are around; empty for another source.
+    documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
     """
 
     sequence: QPSequence
@@ -84,7 +83,6 @@ def save_sequence(
     ----------
     sequence : one in SI is written as its scaled form, with its units.
     optima : those of `certified`, which finds them where they are not given.
-    units, documents : as in `Recorded`.
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
@@ -119,11 +117,7 @@ def save_sequence(
 
 
 def active_set(optimum: Optimum) -> NDArray[np.int8]:
-    """The active limits (m + n,), rows of A before bounds: +1 upper, −1 lower, 0 neither.
-
-    Limits whose multiplier is at most `ACTIVE_MULTIPLIER` do not count; without a certified
-    optimum none does.
-    """
+    """Return the active limits (m + n,) of A, then bounds: +1 upper, −1 lower, 0 neither."""
     multiplier = np.concatenate((optimum.y, optimum.y_box))
     if not np.isfinite(optimum.bound):
         return np.zeros(len(multiplier), dtype=np.int8)
@@ -132,7 +126,7 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
 
 
 def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
-    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
+    """Return the QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
 
     Parameters
     ----------
@@ -140,8 +134,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
     Raises
     ------
-    InputError : naming file, array, what was found and what is allowed; also for a file that
-        does not say what its units are in SI.
+    InputError : for a bad file, or one without units in SI.
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
@@ -156,7 +149,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
 
 def load_recorded(path: str | Path) -> Recorded:
-    """What `save_sequence` wrote, optima and provenance included; InputError as `load_sequence`."""
+    """Return all that `save_sequence` wrote; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
@@ -245,7 +238,7 @@ def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
 
 
 def _meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
-    """The facts about a sequence; those the replay counts with are checked."""
+    """Return the facts about a sequence; those the replay counts with are checked."""
     meta = _document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)

@@ -1,6 +1,6 @@
-"""The files behind the QPs of cells: made once a source, in a process of its own, then read by
-workers and evaluators. A file holds the exactly solved loop, or a sequence with its certified
-optima.
+"""The files behind the QPs of cells: made once a source, then read by workers and evaluators.
+
+A file has the exactly solved loop, or a sequence with its certified optima.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from dpbench.ship.layout import AXES
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a replay needs: the QPs, the time between them [s], and their optima if known."""
+    """The QPs of a replay, the time between them [s], and their optima if known."""
 
     sequence: QPSequence
     sample_s: float
@@ -56,24 +56,23 @@ class SourceFile(Protocol):
     """Makes the file behind the replays of one problem, and reads it."""
 
     def make(self, path: Path) -> None:
-        """Do what takes long into `path` (.npz); CertificateError when it cannot be done."""
+        """Write `path` (.npz), which may take long; CertificateError when it cannot be done."""
 
     def load(self, path: Path) -> Replayed:
-        """Return the QPs of the cell, from what `make` left at `path`."""
+        """Return the QPs of the cell, from what `make` wrote."""
 
     def check(self, path: Path) -> None:
-        """Read all of what `make` left; ResultsError or InputError where it is damaged or gone."""
+        """Read all of what `make` wrote; ResultsError or InputError where it is damaged."""
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        """Return n and m of the QPs, by the arrays that `make` left."""
+        """Return n and m of the QPs, by the arrays that `make` wrote."""
 
 
 _latest: dict[tuple[str, Path], Replayed] = {}
 
 
 def replayed(cell: Cell, path: Path) -> Replayed:
-    """What a replay needs, with its optima: read, and if need be certified, once a process for all
-    cells in a row that see the same QPs."""
+    """Return the certified QPs of a replay, read once for all cells in a row that share them."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
@@ -83,7 +82,7 @@ def replayed(cell: Cell, path: Path) -> Replayed:
 
 
 def is_readable(cell: Cell, path: Path) -> bool:
-    """Whether the file behind a cell's QPs can be read to its end."""
+    """Return whether the file behind a cell's QPs can be read to its end."""
     try:
         source_file(cell).check(path)
     except InputError:
@@ -92,12 +91,7 @@ def is_readable(cell: Cell, path: Path) -> bool:
 
 
 def log_size(cell: Cell, path: Path) -> int:
-    """Bytes of the raw log of a cell, by the sizes in the file behind its QPs.
-
-    Raises
-    ------
-    ResultsError : the file is damaged or gone.
-    """
+    """Return the size of a cell's raw log [B]; ResultsError without the file of its QPs."""
     with kept(path) as stored:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
@@ -139,7 +133,7 @@ class _Loop:
 
 @dataclass(frozen=True, eq=False)
 class _Consequence(_Loop):
-    """What remains after the loss of a failure group, at each sample of the same loop."""
+    """The loss of a failure group, at each sample of that loop."""
 
     source: ConsequenceSource
 
@@ -162,7 +156,7 @@ class _Consequence(_Loop):
 
 
 class _Stored:
-    """A sequence with its optima in a file of our own, whatever it was made from."""
+    """A sequence with its optima in a file of our own."""
 
     def load(self, path: Path) -> Replayed:
         recorded = load_recorded(path)
@@ -179,7 +173,7 @@ class _Stored:
 
 @dataclass(frozen=True, eq=False)
 class _Random(_Stored):
-    """A random sequence; its optima are certified once, as some take a second each."""
+    """A random sequence, certified once, as some optima take a second each."""
 
     source: RandomSource
 
@@ -190,7 +184,7 @@ class _Random(_Stored):
 
 @dataclass(frozen=True, eq=False)
 class _Capability(_Stored):
-    """The QPs at the capability boundary; in the same file the plot they are around."""
+    """The QPs at the capability boundary, with the plot in the same file."""
 
     source: CapabilitySource
 
@@ -202,7 +196,7 @@ class _Capability(_Stored):
 
 @dataclass(frozen=True, eq=False)
 class _Recorded(_Stored):
-    """What others recorded; their optima are not believed but certified again."""
+    """A sequence from a file of others, whose optima are certified again."""
 
     source: RecordedSource
 

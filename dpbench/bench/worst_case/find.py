@@ -1,10 +1,9 @@
-"""`dpbench worst-case`: the worst step of one solver, searched for over starts and disturbances.
+"""`dpbench worst-case`: the worst step of one solver, over starts and disturbances.
 
-A point of the `SearchSpace` makes a scenario; its exactly solved loop gives a short sequence of
-QPs; the solver answers it in a process of its own; the worst step of the judged answers is the
-point's score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy)
-from a Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same
-case.
+A point of the `SearchSpace` makes a scenario; the solver answers the QPs of its exactly solved loop
+in a process of its own; the worst of these steps is the point's score. Differential evolution
+(Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a Sobol sample maximises it. The
+same seed and versions find the same case.
 """
 
 from __future__ import annotations
@@ -40,14 +39,12 @@ _WORDS = {"timed_out": "slow"}
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """What a search found.
+    """Result of a search.
 
     Parameters
     ----------
-    goal, cell : what was solver_process, and how it was run on which scenario.
-    search : baseline, best case and failures.
-    path : where the best case is saved; nothing is there where there is none.
-    failures : where the first case of each failure is saved, by its name in `search.failures`.
+    cell : how the solver was run on which scenario; search : baseline, best case and failures.
+    path : of the best case, if there is one; failures : of the first case of each failure.
     """
 
     goal: Goal
@@ -111,18 +108,15 @@ def find_worst_case(
 ) -> WorstCase:
     """Search for the worst step of a solver and save its sequence, which replays to the same.
 
+    Ctrl-C ends the search early with the best case so far.
+
     Parameters
     ----------
     scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
-    route, policy, settings : how the solver is run; None is native where it has that route.
-    budget : cases tried; steps : length of each; seed : of the search.
-    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. A case that crashes or hangs the
-        solver goes beside it.
-    progress : told how far the search is.
-
-    Returns
-    -------
-    The search. Ctrl-C ends it early with the best case so far.
+    route, policy, settings : of the solver; no route is native where it has that.
+    budget : cases tried; steps : length of each.
+    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. The first case that crashes or
+        hangs the solver is saved beside it.
 
     Raises
     ------
@@ -150,7 +144,7 @@ def find_worst_case(
 
 
 def _check(goal: str, budget: int, steps: int, seed: int) -> None:
-    """InputError that names the option whose value cannot be."""
+    """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
     for option, value, least in (("--budget", budget, 1), ("--seed", seed, 0)):
@@ -161,7 +155,7 @@ def _check(goal: str, budget: int, steps: int, seed: int) -> None:
 
 
 def _make_room(path: Path) -> None:
-    """InputError unless the file can be written: before a search of minutes, not after it."""
+    """Check before a search of minutes that the file can be written; InputError if not."""
     trial = path.with_name(path.name + ".part")
     try:
         if path.is_dir():
@@ -175,7 +169,7 @@ def _make_room(path: Path) -> None:
 
 
 def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
-    """The replay of the scenario itself; what cannot run is said when its solver is opened."""
+    """Return the replay of the scenario itself."""
     row = record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
@@ -194,7 +188,7 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
 
 
 def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Write what was found."""
+    """Write the worst case and the failures."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,

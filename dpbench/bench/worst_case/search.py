@@ -1,9 +1,9 @@
-"""The search itself: cases by differential evolution, the worst of them kept.
+"""Search by differential evolution, which keeps the worst case.
 
 The solver answers one sequence after the other in a process of its own; one that crashes or hangs
-costs the sequence it failed on. Every sequence is answered by a new workspace in the way
-`notebook.runs.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
-found replays to the same figures.
+costs the sequence it failed on. Every sequence is answered by a new workspace as in
+`notebook.runs.replay` and a campaign (a warm-up round, then one that counts), so that a case
+replays to the same figures.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dpbench.scenario.scenario import Scenario
 CASE_LIMIT_S = 5.0
 """Run time of one case; a solver that takes longer hangs."""
 BASELINE_LIMIT_S = 60.0
-"""Run time of the scenario's own sequence; of a slower solver it is the steps until then."""
+"""Run time of the scenario's own sequence; a slower solver answers part of it."""
 _POPULATIONS = (8, 16, 32)
 """Points that evolve together: powers of two, for which a Sobol sample is balanced."""
 
@@ -44,17 +44,11 @@ class _BudgetError(Exception):
 
 
 class SearchedSolver:
-    """One configuration, ready to answer sequences.
+    """One configuration, ready to answer sequences; InputError if it cannot run.
 
     Parameters
     ----------
-    context : what forks its processes; folder : where they leave raw logs.
-    cell : the configuration: solver, route, policy, settings, formulation, rounds, plug-in; what
-        else a cell says is not looked at.
-
-    Raises
-    ------
-    InputError : the configuration cannot run, for the reason it gives.
+    context : forks its processes; folder : for their raw logs; cell : the configuration.
     """
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
@@ -75,13 +69,7 @@ class SearchedSolver:
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
-        """Replay a sequence in at most `limit_s` of run time, and judge the answers.
-
-        Returns
-        -------
-        What became of the process (`finished`, `timed_out`, `hung`, `crashed` or `lost`), and the
-        judged columns of the steps it came to, None where there are none.
-        """
+        """Replay a sequence in `limit_s`; return the outcome and the evaluated columns."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
@@ -105,10 +93,7 @@ class SearchedSolver:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A variant of a scenario, its QPs, what became of the solver's process, the worst answer.
-
-    `worst` is None where the process did not finish, or no step has a figure.
-    """
+    """A variant of a scenario, its QPs, the process's outcome, and its worst step, if any."""
 
     scenario: Scenario
     sequence: QPSequence
@@ -119,16 +104,11 @@ class Case:
 class Search:
     """One search.
 
-    Parameters
-    ----------
-    solver_process : the solver; space : the cases; goal : what makes one worse than another.
-    budget : cases to try; progress : told how far the search is.
-
     Attributes
     ----------
-    baseline, baseline_outcome : the worst step of the scenario itself, as in `Case`.
-    best : the worst case so far, the first of equals; None where none had a figure.
-    failures : by what became of the process: how many cases, and the first of them.
+    baseline, baseline_outcome : of the scenario itself, as in `Case`.
+    best : the first of the worst cases so far; None where none had a figure.
+    failures : by outcome of the process: how many cases, and the first of them.
     evaluations : cases tried; stopped : why the budget is not spent, "" where it is.
     """
 
@@ -150,7 +130,7 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """See what the scenario itself demands, then spend the budget; Ctrl-C ends it early.
+        """Evaluate the scenario itself, then spend the budget; Ctrl-C ends it early.
 
         Raises
         ------
@@ -194,7 +174,7 @@ class Search:
             )
 
     def _cost(self, point: Floats) -> float:
-        """Minus the score of a point; infinite where it has none."""
+        """Return minus the score of a point; infinite where it has none."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1

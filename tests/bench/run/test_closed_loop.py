@@ -262,3 +262,17 @@ def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
     """Before there ever was a usable plan, the shifted plan is to hold."""
     law = FALLBACKS[DEFAULT_FALLBACK](15, 3, UnconstrainedLaw(condense(scenario)))
     np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("name", ["weather", "waves"])
+def test_the_weather_of_a_shorter_run_is_the_beginning_of_a_longer_one(name: str) -> None:
+    """However many samples are asked for, also beyond those that are summed up at a time."""
+    scenario = load_scenario(name)
+    sea, sample_s = scenario.environment, scenario.sample_s
+    for steps, more in ((1, 2), (100, 101), (1021, 1400)):
+        for table, *rest in (
+            (sea.stage_table, sample_s, 2),
+            (sea.measured_motion, sample_s),
+            (sea.noise_table,),
+        ):
+            np.testing.assert_array_equal(table(steps, *rest), table(more, *rest)[:steps])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from dpbench.bench.plan.suite import (
     load_suite,
 )
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder, in_replay
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -37,6 +38,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
 from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.table import available
 
 SOLVER = "piqp_multistage"
 HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
@@ -144,8 +146,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 
 
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
-    """What the loop emits at step k with the states kept is what the replay hands over at k, and
-    its optimum is that of the condensed problem, faults included."""
+    """Loop and replay emit the same QPs with the states kept, and their optima agree."""
     scenario = with_horizons(early_loss(), 6, 3).first(24)
     assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
@@ -290,3 +291,49 @@ def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
     cells = [planned.cell for planned in plan(suite)]
     assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}
     assert len({cell.to_json() for cell in cells}) == len(cells)
+
+
+BAR = 1e-7
+"""error_plan: the largest error of any move of the plan, in rate-limit steps."""
+
+PIQP = {
+    **dict.fromkeys(("eps_abs", "eps_duality_gap_abs"), 1e-12),
+    **dict.fromkeys(("eps_rel", "eps_duality_gap_rel"), 0.0),
+    "max_iter": 1000,
+    "tau": 0.9,
+}
+HPIPM = {
+    "mode": "BALANCE",
+    **dict.fromkeys(("tol_stat", "tol_eq"), 1e-10),
+    "tol_ineq": 1e-12,
+    # Where a limit is weakly active the error is the root of what is left of λ·slack.
+    "tol_comp": 1e-14,
+    "iter_max": 200,
+}
+SETTINGS: dict[str, Any] = {"piqp_multistage": PIQP, "hpipm_ocp": HPIPM, "hpipm": HPIPM}
+# HPIPM's dense solver factorises all n = 300 variables at once.
+STEPS = {"hpipm": 5}
+
+
+@pytest.mark.parametrize("solver", [name for name in SETTINGS if available(name).ok])
+@pytest.mark.parametrize(
+    ("scenario", "horizons", "steps"),
+    [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
+)
+def test_exact_solvers_meet_the_bar(
+    solver: str, scenario: str, horizons: tuple[int, int], steps: int
+) -> None:
+    """Every answer is claimed, and each of its moves is that of the certified optimum."""
+    case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
+    condensed = record_sequence(case)
+    sequence, form = in_replay("sparse", condensed)
+    workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])
+    workspace.setup(sequence.base)
+    for k in range(len(sequence)):
+        workspace.update(sequence.step(k))
+        workspace.solve()
+        found = workspace.read()
+        assert found.claimed
+        optimum = certify(condensed.problem(k))
+        assert optimum.bound < BAR
+        assert np.abs(form.solution(found).z - optimum.z).max() <= BAR

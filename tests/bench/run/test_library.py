@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
@@ -14,6 +15,7 @@ from dpbench.bench.judge.control_metrics import axis_limit_metrics, control_metr
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.linearisation import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, scenario_of
@@ -266,3 +268,79 @@ def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
     files["scenario"]["controller"]["thrusters"]["allocation"] = "pseudo_inverse"
     clipped = scenario_of(files)
     assert 5.0 < measured(clipped, solve_exactly(clipped))["r_max_m"] < 7.0
+
+
+def clipped(scenario: Scenario) -> pd.DataFrame:
+    workspace = open_workspace("unconstrained_clipped")
+    return run_closed_loop(scenario, workspace, formulation="none").steps
+
+
+def radius(loop: ExactLoop) -> np.ndarray:
+    """Return the distance [m] from a reference of zero at each step."""
+    return np.hypot(loop.state[:-1, 3], loop.state[:-1, 4])
+
+
+@pytest.mark.parametrize(
+    ("name", "late_s", "clipped_m"), [("paper", 55.0, 0.1), ("paper_tight", 150.0, 3.0)]
+)
+def test_the_constrained_law_of_the_paper_holds_where_the_clipped_one_does_not(
+    name: str, late_s: float, clipped_m: float
+) -> None:
+    """The constrained law is within 0.1 m by 55 s; with R × 0.7 the clipped law leaves 3 m."""
+    scenario, loop, baseline_law = load_scenario(name), exact(name), clipped(load_scenario(name))
+    late = np.arange(scenario.steps) * scenario.sample_s >= late_s
+    assert not scenario.reference.any() and radius(loop)[late].max() <= 0.1
+    away = np.hypot(baseline_law["n_m"], baseline_law["e_m"]).to_numpy()
+    assert away[late].max() > clipped_m
+    assert -loop.state[:, 4].min() < -baseline_law["e_m"].min()
+
+
+def test_calm_has_no_active_limit() -> None:
+    """In `calm` both laws give the same force, because no limit is ever active."""
+    scenario = load_scenario("calm")
+    tau = clipped(scenario)[["tau_x_N", "tau_y_N", "tau_n_Nm"]].to_numpy()
+    most = 1e-6 * scenario.problem.du_max.min()
+    np.testing.assert_allclose(tau, exact("calm").tau, rtol=0, atol=most)
+
+
+@pytest.mark.parametrize("solver", ["quadprog", "daqp", "paper_active_set"])
+@pytest.mark.parametrize("name", ["paper", "rough"])
+def test_exact_solvers_are_exact(solver: str, name: str) -> None:
+    """quadprog, daqp and the paper's method keep error_move ≤ 1e-9 in scaled units, certified."""
+    run = run_closed_loop(load_scenario(name), open_workspace(solver))
+    assert (run.steps["optimum_bound"] <= 1e-9).all()
+    assert (run.steps["error_move"] <= 1e-9).all()
+    assert run.steps["claimed"].all() and run.steps["true_1e6"].all()
+    assert run.summary["dev_position_max_m"] < 1e-6
+
+
+SHORT, LONG = 7, 24
+# Slow forces; gusts and waves; a Kalman filter and noise; an observer; a reference that moves; a
+# model linearised, and thruster rows made, at each step; a second QP at each step.
+KINDS = ["paper", "weather", "waves", "waves_passive", "move_filtered", "turn"]
+KINDS += ["thrusters_turning", "thrusters_cascade"]
+
+
+def assert_same(one: Optimum, other: Optimum) -> None:
+    """Every number of two optima, and what they prove."""
+    for part in fields(Optimum):
+        np.testing.assert_array_equal(getattr(one, part.name), getattr(other, part.name))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> None:
+    """States, forces and certified optima alike, whatever the scenario has."""
+    scenario = load_scenario(name)
+    short, long = (solve_exactly(scenario.first(steps)) for steps in (SHORT, LONG))
+    states = len(short.state)
+    assert (len(long.theta), len(short.theta), states) == (LONG, SHORT, SHORT + 1)
+    np.testing.assert_array_equal(short.state, long.state[:states])
+    for part in ("theta", "tau", "thrust", "z"):
+        np.testing.assert_array_equal(getattr(short, part), getattr(long, part)[:SHORT])
+    assert (short.demand is not None) == scenario.controller.allocates
+    if short.demand is not None and long.demand is not None:
+        np.testing.assert_array_equal(short.demand, long.demand[:SHORT])
+    assert len(short.allocated) == (SHORT if long.allocated else 0)
+    for optima, others in ((short.optima, long.optima), (short.allocated, long.allocated)):
+        for one, other in zip(optima, others, strict=False):
+            assert_same(one, other)
