@@ -13,15 +13,9 @@ from scipy.optimize import brentq
 from dpbench.arrays import Vector
 from dpbench.bench.capability.utilisation import Utilisation
 from dpbench.errors import InputError
+from dpbench.ship.capability import losses
 from dpbench.ship.capability.conditions import DP_CONDITIONS, condition_of_wind
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
-from dpbench.ship.capability.losses import (
-    MISCELLANEOUS,
-    dead_losses,
-    forbidden_zones,
-    skeg_losses,
-    vented_share,
-)
 from dpbench.ship.capability.shapes import Piece, pieces
 from dpbench.ship.vessel import Vessel
 
@@ -105,10 +99,10 @@ class Frontier:
         condition = condition_of_wind(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
-            vented_share(thruster, self.hull, condition, from_rad)
+            losses.vented_share(thruster, self.hull, condition, from_rad)
             for thruster in self.thrusters.thrusters
         ]
-        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), MISCELLANEOUS * np.array(vented))
+        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
     def pieces_of(self, case: Case) -> list[list[Piece]]:
         """Return the convex pieces of each thruster (p,); one without any is lost."""
@@ -127,9 +121,9 @@ class Frontier:
         step = CHORD_RAD if self.sides is None else 2.0 * math.pi / self.sides
         return pieces(
             thruster.sector_rad,
-            forbidden_zones(thruster, working),
-            dead_losses(thruster, dead),
-            skeg_losses(thruster, self.hull),
+            losses.forbidden_zones(thruster, working),
+            losses.dead_losses(thruster, dead),
+            losses.skeg_losses(thruster, self.hull),
             step,
         )
 

@@ -64,55 +64,43 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
         shortest = later.min(axis=0, initial=np.inf)
         pairs = group & (log.first_ns > 0) & np.isfinite(shortest)
         if np.count_nonzero(pairs) >= FEWEST_VISITS:
-            slower = _slower(log, r)
-            ratio = float(np.median(log.first_ns[pairs] / shortest[pairs]))
+            slower = _machine_factor(log, r)
+            ratio = float(np.median(log.first_ns[pairs] / shortest[pairs])) / slower
             first, later = log.first_ns[pairs].astype(np.float64), later[:, pairs]
-            return {
-                "first_visit_ratio": ratio / slower,
-                "first_visit_excess": _slow_excess(first, later, slower, _explained(log, r, later)),
-            }
+            excess = _slow_excess(first, later, slower, _explained_visits(log, r, later))
+            return {"first_visit_ratio": ratio, "first_visit_excess": excess}
     return {"first_visit_ratio": np.nan, "first_visit_excess": np.nan}
 
 
 def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
     """Return the unexplained share of slow first visits (K,), by later visits (R, K)."""
-    limit = SLOW_VISIT * slower
-    slow_first = np.count_nonzero(first > limit * later.min(axis=0))
-    slow_later = [
-        np.count_nonzero(
-            visits > SLOW_VISIT * np.minimum(first, _others(later, i).min(axis=0, initial=np.inf))
-        )
-        for i, visits in enumerate(later)
-    ]
-    return float((slow_first - 2 * max(slow_later) - explained) / len(first))
+    slow_first = np.count_nonzero(first > SLOW_VISIT * slower * later.min(axis=0))
+    slow_later = 0
+    for i, visits in enumerate(later):
+        others = np.vstack([first, np.delete(later, i, axis=0)]).min(axis=0)
+        slow_later = max(slow_later, int(np.count_nonzero(visits > SLOW_VISIT * others)))
+    return float((slow_first - 2 * slow_later - explained) / len(first))
 
 
-def _others(later: Floats, i: int) -> Floats:
-    return np.delete(later, i, axis=0)
-
-
-def _explained(log: RawLog, r: int, later: Floats) -> int:
+def _explained_visits(log: RawLog, r: int, later: Floats) -> int:
     """Return how many slow first visits the involuntary switches of round r may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
-    wall_s = counted["replay_s"] or float("nan")
-    timed_share = 1e-9 * float(later.min(axis=0).sum()) / wall_s
+    timed_share = 1e-9 * float(later.min(axis=0).sum()) / (counted["replay_s"] or float("nan"))
     return explained_by(float(np.nan_to_num(counted["involuntary_switches"])), timed_share)
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
     """Return the visits (R, K) of each step after its first one in round r, inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
-    rounds = range(r if log.attempts[r] > 1 else r + 1, len(log.done))
-    visits = np.full((len(rounds), total.shape[1]), np.inf)
-    for i, later in enumerate(rounds):
-        done = int(log.done[later])
-        visits[i, :done] = np.maximum(total[later, :done], 1)
-    return visits[[int(log.done[later]) > 0 for later in rounds]]
+    rounds = np.arange(r if log.attempts[r] > 1 else r + 1, len(log.done))
+    rounds = rounds[log.done[rounds] > 0]
+    recorded = np.arange(total.shape[1]) < log.done[rounds][:, np.newaxis]
+    return np.where(recorded, np.maximum(total[rounds], 1), np.inf)
 
 
-def _slower(log: RawLog, r: int) -> float:
+def _machine_factor(log: RawLog, r: int) -> float:
     """Return by what factor the machine was slower around the first attempt of round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
@@ -154,16 +142,16 @@ def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
     longest = loops.sort_values("steps_done", kind="stable").groupby(_CONFIGURATION).tail(1)
     keys = pd.MultiIndex.from_frame(runs[_CONFIGURATION])
     ratios = {}
+    times = longest.set_index(_CONFIGURATION)
     for column, percent in columns.items():
-        if f"raw_{percent}_ns" not in runs:
+        name = f"raw_{percent}_ns"
+        if name not in runs:
             ratios[column] = np.full(len(runs), np.nan)
             continue
-        of_loop = longest.set_index(_CONFIGURATION)[f"raw_{percent}_ns"].astype(np.float64)
-        if f"controller_{percent}_ns" in longest:
+        loop_ns = times[name].astype(np.float64)
+        if f"controller_{percent}_ns" in times:
             # Of a cascade, the QPs of the replay are the first ones.
-            alone = longest.set_index(_CONFIGURATION)[f"controller_{percent}_ns"]
-            of_loop = alone.astype(np.float64).fillna(of_loop)
-        own = runs[f"raw_{percent}_ns"].to_numpy(dtype=np.float64)
-        ratio = of_loop.reindex(keys).to_numpy() / own
+            loop_ns = times[f"controller_{percent}_ns"].astype(np.float64).fillna(loop_ns)
+        ratio = loop_ns.reindex(keys).to_numpy() / runs[name].to_numpy(dtype=np.float64)
         ratios[column] = np.where(runs["mode"] == "replay", ratio, np.nan)
     return runs.assign(**ratios)

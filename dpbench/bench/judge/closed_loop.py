@@ -193,8 +193,11 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
-    columns, matrix_steps = _controller(scaled, own, log)
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
+    asked = log.times[0, :done, _SOLVE] >= 0
+    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
     columns |= {
+        "asked": asked,
         "t_s": columns["k"] * scenario.sample_s,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
@@ -217,14 +220,6 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return Evaluated(columns, metrics)
-
-
-def _controller(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[Columns, int]:
-    """Return the columns of a controller's QPs, and how many steps brought matrices."""
-    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
-    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
-    return columns | {"asked": asked}, matrix_steps
 
 
 def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvaluator, Rebuilt]:

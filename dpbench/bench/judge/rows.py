@@ -8,21 +8,9 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Flags
+from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.rules import (
-    INFEASIBLE,
-    UNDECIDED,
-    StepColumns,
-    claimed_not_true,
-    decided,
-    errors,
-    failed_steps,
-    largest,
-    median,
-    select_rows,
-    steps_with_answers,
-    true_not_claimed,
-)
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import (
     deadline_metrics,
     longest_streak,
@@ -98,10 +86,10 @@ def run_row(
         # It ended within its warm-up, which says nothing about it.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
-    judged = steps_with_answers(select_rows(steps, counts), cell.slowdown)
+    judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)
     row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(judged) | _worst_of_all(steps_with_answers(steps, cell.slowdown))
+        row |= _accuracy(judged) | _worst_of_all(rules.steps_with_answers(steps, cell.slowdown))
     if cell.mode == "closed_loop":
         row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
     return row
@@ -128,9 +116,9 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
 
 
 def _accuracy(steps: StepColumns) -> dict[str, Any]:
-    known, undecided = decided(steps), steps["certificate"] == UNDECIDED
-    charged = select_rows(steps, ~undecided)
-    moves = errors(charged)
+    known, undecided = rules.decided(steps), steps["certificate"] == rules.UNDECIDED
+    charged = rules.select_rows(steps, ~undecided)
+    moves = rules.errors(charged)
     moves = moves[~np.isnan(moves)]
     iterations = steps["iterations"][steps["iterations"] > ABSENT]
     bounds = steps["optimum_bound"]
@@ -139,27 +127,27 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
         "true_share": _mean(steps["true"][known]),
         "true_1e4_share": _mean(steps["true_1e4"][known]),
         "true_1e6_share": _mean(steps["true_1e6"][known]),
-        "claimed_not_true": int(claimed_not_true(steps).sum()),
-        "true_not_claimed": int(true_not_claimed(steps).sum()),
+        "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
+        "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "primal_max": largest(charged["primal"]),
-        "dual_max": largest(charged["dual"]),
-        "optimum_bound_max": largest(bounds[np.isfinite(bounds)]),
+        "primal_max": rules.largest(charged["primal"]),
+        "dual_max": rules.largest(charged["dual"]),
+        "optimum_bound_max": rules.largest(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
-        "infeasible_steps": int((steps["certificate"] == INFEASIBLE).sum()),
-        "iterations_p50": median(iterations),
-        "iterations_max": largest(iterations),
+        "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
+        "iterations_p50": rules.median(iterations),
+        "iterations_max": rules.largest(iterations),
     }
 
 
 def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
     """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
-    charged = select_rows(steps, steps["certificate"] != UNDECIDED)
+    charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
-        "error_move_max": largest(errors(charged)),
-        "error_plan_max": largest(charged["error_plan"]),
-        "failed_steps": int(failed_steps(steps).sum()),
+        "error_move_max": rules.largest(rules.errors(charged)),
+        "error_plan_max": rules.largest(charged["error_plan"]),
+        "failed_steps": int(rules.failed_steps(steps).sum()),
     }
 
 
@@ -177,9 +165,9 @@ def _backup(steps: StepColumns) -> dict[str, Any]:
         "backup_asked": int(asked.sum()),
         "backup_acted": int(steps["backup"].sum()),
         "backup_failures": int(steps["backup_failed"].sum()),
-        "backup_p50_ns": median(times),
-        "backup_max_ns": largest(times),
-        "backup_error_max": largest(steps["backup_error"][asked]),
+        "backup_p50_ns": rules.median(times),
+        "backup_max_ns": rules.largest(times),
+        "backup_error_max": rules.largest(steps["backup_error"][asked]),
     }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -21,16 +22,7 @@ from dpbench.bench.judge.closed_loop import (
     Columns,
     Evaluated,
 )
-from dpbench.bench.judge.rules import (
-    INFEASIBLE,
-    UNCERTIFIED,
-    UNDECIDED,
-    WARM_UP,
-    StepColumns,
-    counting_rows,
-    unfinished,
-    unusable,
-)
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import disturbed_rounds_of, late_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
@@ -51,59 +43,51 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
     """Return the columns of the recorded steps of a cell."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
-    steps = _of_qps(columns, asked)
-    second = {
-        name.removeprefix(OF_SECOND): column
-        for name, column in columns.items()
-        if name.startswith(OF_SECOND)
-    }
+    steps = _answer_columns(columns, asked)
+    second = _select_prefix(columns, OF_SECOND)
     if second:
-        steps = joined(steps, _of_qps(second, None))
-    steps["total_ns"] = total_of(steps)
-    steps["t_s"] = columns["t_s"]
-    rows = len(steps["k"])
+        steps = joined(steps, _answer_columns(second, None))
+    steps |= {"total_ns": total_of(steps), "t_s": columns["t_s"]}
     if cell.mode == "replay":
         disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
-        steps["warmup"], steps["disturbed"] = steps["repeat"] == WARM_UP, disturbed
-        steps["counts"] = counting_rows(columns["repeat"], disturbed)
-        steps["unconverged"] = unfinished(steps)
-        steps["fallback"] = unusable(steps)
-        return steps
-    steps["counts"] = np.ones(rows, dtype=np.bool_)
+        steps["warmup"], steps["disturbed"] = steps["repeat"] == rules.WARM_UP, disturbed
+        steps["counts"] = rules.counting_rows(columns["repeat"], disturbed)
+        return steps | {"unconverged": rules.unfinished(steps), "fallback": rules.unusable(steps)}
+    steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
     delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
-    steps |= _of_backup(columns)
-    steps |= late_columns(delay, columns["latency_ns"], _waited_ns(steps))
+    steps |= _backup_columns(columns)
+    waited_ns: Ints = steps["total_ns"]
+    if "backup" in steps:
+        waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
+    steps |= late_columns(delay, columns["latency_ns"], waited_ns)
     if "backup" in steps and delay.simulated:
         ready_ns = columns[f"{OF_BACKUP}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns
-    return steps | _of_ship(columns)
+    return steps | _ship_columns(columns)
 
 
-def _of_backup(columns: Columns) -> StepColumns:
+def _select_prefix(columns: Columns, prefix: str) -> Columns:
+    """Return the columns with a prefix, without it."""
+    names = [name for name in columns if name.startswith(prefix)]
+    return {name.removeprefix(prefix): columns[name] for name in names}
+
+
+def _backup_columns(columns: Columns) -> StepColumns:
     """Return the columns of a backup in each step; none without one."""
-    if f"{OF_BACKUP}asked" not in columns:
+    own = _select_prefix(columns, OF_BACKUP)
+    if not own:
         return {}
-    own = {
-        name.removeprefix(OF_BACKUP): column
-        for name, column in columns.items()
-        if name.startswith(OF_BACKUP)
-    }
-    answers = _of_qps(own, own["asked"])
+    answers = _answer_columns(own, own["asked"])
     return {
         "backup": own["acted"],
-        "backup_failed": own["asked"] & unusable(answers),
+        "backup_failed": own["asked"] & rules.unusable(answers),
         "backup_ns": total_of({phase: answers[phase] for phase in INSIDE}),
         "backup_error": answers["error_move"],
     }
 
 
-def _waited_ns(steps: StepColumns) -> Ints:
-    total = steps["total_ns"]
-    return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
-
-
-def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
+def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
     """Return the columns of answers to QPs, of the steps `asked` (K,); None for all."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
@@ -137,10 +121,10 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
     both = first.copy()
     for name in ("claimed", "true", "true_1e4", "true_1e6"):
         both[name] = first[name] & second[name]
-    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == INFEASIBLE))
+    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == rules.INFEASIBLE))
     for name in ("status", "certificate"):
         both[name] = np.where(of_second, second[name], first[name])
-    for unknown in (UNDECIDED, UNCERTIFIED):
+    for unknown in (rules.UNDECIDED, rules.UNCERTIFIED):
         either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
         both["certificate"] = np.where(either, unknown, both["certificate"])
     waited = first["waited_ns"], second["waited_ns"]
@@ -154,7 +138,7 @@ def _whole(values: NDArray[Any]) -> Ints:
     return np.maximum(values.astype(np.int64), ABSENT)
 
 
-def _of_ship(columns: Columns) -> StepColumns:
+def _ship_columns(columns: Columns) -> StepColumns:
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}

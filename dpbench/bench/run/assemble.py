@@ -11,7 +11,7 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, Formulated, QPBuilder, in_loop, in_replay
+from dpbench.bench.run.formulation import Box, QPBuilder, in_loop, in_replay
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
@@ -82,7 +82,7 @@ def closed_loop_setup(
 
 def _timed(
     workspace: Workspace,
-    formulated: Formulated,
+    formulated: Box,
     answers: AnswerLog,
     hung: int | None,
     limit_ns: int,

@@ -7,7 +7,6 @@ Whatever the solver is given, logs, fallback and referee use the condensed probl
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -94,29 +93,18 @@ class QPBuilder:
 NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"
 
 
-class Formulated(Protocol):
-    """A formulation of a sequence of QPs; `base` is the problem of its set-up."""
-
-    base: QuadraticProgram
-
-    def step(self, step: QPStep) -> QPStep:
-        """Return what the solver gets of an emitted step, in arrays of its own.
-
-        New matrices become those of `base`, for later steps without any.
-        """
-
-    def solution(self, answer: Solution) -> Solution:
-        """Return the answer to the condensed problem."""
-
-
 class Box:
-    """The condensed problem as it is emitted."""
+    """A formulation of a sequence of QPs: the condensed problem as it is emitted.
+
+    `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
+    steps without any. The arrays of a step that go to the solver are its own.
+    """
 
     def __init__(self, base: QuadraticProgram) -> None:
         self.base = base
 
     def step(self, step: QPStep) -> QPStep:
-        """Return the step itself."""
+        """Return what the solver gets of an emitted step."""
         # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
@@ -124,7 +112,7 @@ class Box:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """Return the answer itself."""
+        """Return the answer to the condensed problem."""
         return answer
 
 
@@ -156,7 +144,7 @@ class Sparse(Box):
         return self._condensed(answer)
 
 
-def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Formulated:
+def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Box:
     """Return the formulation of a closed loop; `base` is a condensed problem of the builder."""
     if builder.staged is None:
         return _of_condensed(formulation, base)
@@ -166,7 +154,7 @@ def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
     return Sparse(staged.problem(staged.emit(*at_rest)), staged.condensed)
 
 
-def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Formulated]:
+def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Box]:
     """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
         return sequence, _of_condensed(formulation, sequence.base)
@@ -176,5 +164,5 @@ def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequenc
     return sparse.sequence, Sparse(sparse.sequence.base, sparse.condensed)
 
 
-def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:
+def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Box:
     return Stacked(base) if formulation == "condensed_stacked" else Box(base)

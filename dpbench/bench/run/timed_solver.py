@@ -19,7 +19,7 @@ from types import FrameType
 import numpy as np
 
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
-from dpbench.bench.run.formulation import Formulated
+from dpbench.bench.run.formulation import Box
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
@@ -50,7 +50,7 @@ class TimedSolver:
     `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
     """
 
-    def __init__(self, workspace: Workspace, formulated: Formulated, clock: Clock) -> None:
+    def __init__(self, workspace: Workspace, formulated: Box, clock: Clock) -> None:
         self._workspace, self._formulated, self._clock = workspace, formulated, clock
         # Nothing the solver gets is what it is judged against, nor what a later step is made of.
         self._whole, self._given = formulated.base, formulated.base.copy()
@@ -96,7 +96,7 @@ class TimedSolver:
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
-        qp = self._problem(step) if setup_every_step else self._given
+        qp = self._unwritten().at(step) if setup_every_step else self._given
         try:
             t0 = clock()
             if setup_every_step:
@@ -131,9 +131,6 @@ class TimedSolver:
         if solution.detail:
             self._count(solution.detail)
         return formulated.solution(solution)
-
-    def _problem(self, step: QPStep) -> QuadraticProgram:
-        return self._unwritten().at(step)
 
     def _unwritten(self) -> QuadraticProgram:
         """Return the problem handed over last, as it was before a solver wrote to it."""
@@ -207,7 +204,7 @@ class ResumedSolver(TimedSolver):
     def __init__(
         self,
         workspace: Workspace,
-        formulated: Formulated,
+        formulated: Box,
         clock: Clock,
         *,
         answers: AnswerLog,

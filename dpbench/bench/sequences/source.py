@@ -8,21 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
+from dpbench.bench.record import qp_source
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import kept
-from dpbench.bench.record.qp_source import (
-    CapabilitySource,
-    ConsequenceSource,
-    ControllerSource,
-    HardestSource,
-    QPSource,
-    RandomSource,
-    RecordedSource,
-)
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
@@ -50,22 +42,6 @@ class Replayed:
     sequence: QPSequence
     sample_s: float
     optima: list[Optimum] | None
-
-
-class SourceFile(Protocol):
-    """Makes the file behind the replays of one problem, and reads it."""
-
-    def make(self, path: Path) -> None:
-        """Write `path` (.npz), which may take long; CertificateError when it cannot be done."""
-
-    def load(self, path: Path) -> Replayed:
-        """Return the QPs of the cell, from what `make` wrote."""
-
-    def check(self, path: Path) -> None:
-        """Read all of what `make` wrote; ResultsError or InputError where it is damaged."""
-
-    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        """Return n and m of the QPs, by the arrays that `make` wrote."""
 
 
 _latest: dict[tuple[str, Path], Replayed] = {}
@@ -135,7 +111,7 @@ class _Loop:
 class _Consequence(_Loop):
     """The loss of a failure group, at each sample of that loop."""
 
-    source: ConsequenceSource
+    source: qp_source.ConsequenceSource
 
     def load(self, path: Path) -> Replayed:
         cell, scenario = self.cell, scenario_once(self.cell.scenario)
@@ -175,7 +151,7 @@ class _Stored:
 class _Random(_Stored):
     """A random sequence, certified once, as some optima take a second each."""
 
-    source: RandomSource
+    source: qp_source.RandomSource
 
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.source.recipe)
@@ -186,7 +162,7 @@ class _Random(_Stored):
 class _Capability(_Stored):
     """The QPs at the capability boundary, with the plot in the same file."""
 
-    source: CapabilitySource
+    source: qp_source.CapabilitySource
 
     def make(self, path: Path) -> None:
         source = self.source
@@ -198,7 +174,7 @@ class _Capability(_Stored):
 class _Recorded(_Stored):
     """A sequence from a file of others, whose optima are certified again."""
 
-    source: RecordedSource
+    source: qp_source.RecordedSource
 
     def make(self, path: Path) -> None:
         origin = sequence_path(self.source.path)
@@ -210,18 +186,27 @@ class _Recorded(_Stored):
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
 
 
+SourceFile = _Loop | _Random | _Capability | _Recorded
+"""The file behind the replays of one problem.
+
+`make` writes it, which may take long (CertificateError when it cannot be done), `load` returns the
+QPs of the cell, `check` reads all of it (ResultsError or InputError where it is damaged), and
+`size` returns n and m of the QPs by its arrays.
+"""
+
+
 def source_file(cell: Cell) -> SourceFile:
     """Return the file behind a cell's QPs."""
     match cell.source:
-        case ControllerSource() | HardestSource():
+        case qp_source.ControllerSource() | qp_source.HardestSource():
             return _Loop(cell)
-        case ConsequenceSource() as source:
+        case qp_source.ConsequenceSource() as source:
             return _Consequence(cell, source)
-        case RandomSource() as source:
+        case qp_source.RandomSource() as source:
             return _Random(source)
-        case CapabilitySource() as source:
+        case qp_source.CapabilitySource() as source:
             return _Capability(source)
-        case RecordedSource() as source:
+        case qp_source.RecordedSource() as source:
             return _Recorded(source)
-        case QPSource() as source:
+        case qp_source.QPSource() as source:
             raise TypeError(f"no file is made of {source}")

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import capability_plots
+from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.batch import (
     EDGE,
     Point,
@@ -18,15 +21,18 @@ from dpbench.bench.capability.batch import (
 from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.capability.table import COLUMNS, load_capability, table_of, write_capability
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
+from dpbench.bench.record.qp_source import CapabilitySource
+from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
 from dpbench.qp.referee.referee import certified
+from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
-pytestmark = pytest.mark.slow
 SOME = (0.0, 20.0, 100.0, 200.0)
 
 
@@ -48,7 +54,6 @@ def points(frontier: Frontier) -> list[Point]:
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    """The two rows of the table and a thousandth of the wind to either side, by rising wind."""
     points = points_at_edge(Case("intact", frozenset()), 0.1, Held(15.0, 6))
     winds = [DP_CONDITIONS[6][0], (1 - EDGE) * 15.0, (1 + EDGE) * 15.0, DP_CONDITIONS[7][0]]
     assert [point.wind_mps for point in points] == winds
@@ -60,10 +65,10 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
     assert [point.wind_mps for point in nothing] == [0.5, 1 - EDGE, 1 + EDGE, DP_CONDITIONS[1][0]]
 
 
+@pytest.mark.slow
 def test_the_referee_proves_what_the_cone_program_found(
     frontier: Frontier, points: list[Point]
 ) -> None:
-    """Every QP has a certified optimum where the wind is held, and else a proof of none."""
     sequence = allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
     for point, optimum in zip(points, certified(sequence), strict=True):
@@ -80,8 +85,8 @@ def made_up(frontier: Frontier) -> Capability:
     return Capability("ratownik", 24, known, dict.fromkeys(known, ("bow 1",)), ())
 
 
+@pytest.mark.slow
 def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> None:
-    """In the order of the QPs; a folder without it has none, a damaged one is named."""
     capability = made_up(frontier)
     points = all_points(frontier, capability)
     assert load_capability(tmp_path) is None
@@ -98,8 +103,8 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> 
         load_capability(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_suite_that_runs_as_it_stands(frontier: Frontier, tmp_path: Path) -> None:
-    """Its sequence is read back with all certificates, and the suite names it."""
     capability = made_up(frontier)
     path, suite = load_suite(write_batch(frontier, capability, tmp_path / "new"))
     assert path.parent == tmp_path / "new"
@@ -108,3 +113,59 @@ def test_a_batch_is_a_suite_that_runs_as_it_stands(frontier: Frontier, tmp_path:
     assert recorded.optima is not None
     assert len(recorded.optima) == 4 * len(frontier.cases) * len(FROM_DEG)
     assert np.isfinite(recorded.sequence.l).all()
+
+
+SUITE = """
+title = "The edge of a ship"
+baseline_law = false
+cell_limit_s = 60.0
+
+[[capability]]
+vessel = "osv"
+sides = 8
+routes = ["default", "native"]
+"""
+
+
+def suite_of(**keys: object) -> SuiteFile:
+    """A suite with one plot."""
+    return SuiteFile(title="", capability=[CapabilityTable.model_validate(keys)])
+
+
+def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
+    suite = suite_of(vessel="osv").model_copy(update={"calibration": True})
+    (planned,) = plan(suite, solvers=["quadprog"])
+    cell = planned.cell
+    assert (cell.steps, cell.rounds, cell.scenario) == (4 * 36 * 3, 1, {})
+    assert cell.sequence == "osv capability, 16 sides"
+    assert isinstance(cell.source, CapabilitySource) and cell.source.vessel_name == "osv"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [({"vessel": "supply_mss"}, "thrusters"), ({"vessel": "nowhere"}, "'nowhere'")],
+)
+def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        plan(suite_of(**keys), solvers=["quadprog"])
+
+
+@pytest.mark.slow
+def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
+    """A row a QP in `capability.parquet`."""
+    (tmp_path / "edge.toml").write_text(SUITE, encoding="utf-8")
+    out = run_campaign(tmp_path / "edge.toml", tmp_path / "out", solvers=["quadprog"])
+    table_of_run = load_capability(out)
+    assert table_of_run is not None
+    (plot,) = capability_plots(Records(load_results(out)), table_of_run)
+    (answers,) = plot.answers
+    assert answers.all_right
+    held = int(table_of_run["held"].sum())
+    assert (answers.balanced, answers.refused) == (held, len(table_of_run) - held)
+    assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
+    (out / "capability.parquet").unlink()
+    run_campaign(tmp_path / "edge.toml", out, solvers=["quadprog"])
+    assert load_capability(out) is not None
+    page = write_report(out).read_text(encoding="utf-8")
+    assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
+    assert (out / "figures" / "capability-osv.svg").is_file()

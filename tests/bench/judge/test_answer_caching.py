@@ -234,16 +234,6 @@ def test_a_memory_of_hard_steps_is_marked(
     assert is_remembered(found["first_visit_ratio"], np.nan, excess) is marked
 
 
-def test_switches_and_later_stalls_explain_slow_first_visits(sequence: QPSequence) -> None:
-    """Fifteen slow first visits of 60: five switches leave ten, two stalls of a later round six."""
-    log = replayed(HardQuarter, sequence)
-    log.counters[:] = 0.0
-    log.counters[1, 2] = 5.0
-    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(10 / 60)
-    log.times[3, [30, 31], 3] = 9 * WORK_NS
-    assert memory_metrics(log)["first_visit_excess"] == pytest.approx(6 / 60)
-
-
 @pytest.mark.parametrize("make", [Honest, AtSetup, Warming])
 def test_whoever_solves_is_not(make: type[Honest], sequence: QPSequence) -> None:
     """A long set-up, its one problem known, or a third of warming is no memory."""
@@ -253,7 +243,6 @@ def test_whoever_solves_is_not(make: type[Honest], sequence: QPSequence) -> None
 
 
 def test_a_machine_that_was_slow_at_first_marks_nobody(sequence: QPSequence) -> None:
-    """First visits five times slower, as the reference kernel was around them, are no memory."""
     for attempts in ((1,) * 5, (1, 2, 1, 1, 1)):
         log = replayed(Honest, sequence, attempts=attempts, slow_round=1)
         assert log.first_ns[WARM_UP + 5] > 4 * WORK_NS
@@ -263,20 +252,10 @@ def test_a_machine_that_was_slow_at_first_marks_nobody(sequence: QPSequence) -> 
 
 
 def test_the_first_visit_is_kept_when_a_round_is_run_again(sequence: QPSequence) -> None:
-    """Each step has the time of its first visit."""
     log = replayed(ByBytes, sequence, attempts=(2, 3, 1, 1, 1))
     assert (log.first_ns[:3] == -1).all()
     assert (log.first_ns[3:] >= WORK_NS).all()
     assert (log.times[1, :, 3] < WORK_NS).all(), "the last attempt is all memory"
-
-
-@pytest.mark.parametrize(("make", "marked"), [(ByBytes, True), (Honest, False)])
-def test_a_sequence_within_the_warm_up_is_judged_by_it(
-    make: type[Honest], marked: bool, sequence: QPSequence
-) -> None:
-    """Where no step is left for round 1, the warm-up holds the first visits; two rounds suffice."""
-    found = ratio(replayed(make, sequence, attempts=(1, 1), warm_up=STEPS))
-    assert remembers(row(found)) is marked
 
 
 PLUGIN = """

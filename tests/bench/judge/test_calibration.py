@@ -48,7 +48,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[RawLog]:
     [(NO_OP, 0, 1000), ("busy_wait_50us", 50_000, 1000), ("busy_wait_1000us", 1_000_000, 10_000)],
 )
 def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns: int) -> None:
-    """On both sides of the wait, the bar included."""
     assert within_bar(name, float(wait_ns)) is True
     assert off_by_ns(name, wait_ns + 300.0) == 300.0
     for side in (-1, 1):
@@ -58,7 +57,6 @@ def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns
 
 
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:
-    """Doing nothing takes the readings of the clock alone: one for each of its three phases."""
     found = calibrate()
     (log,) = clock
     assert log.done.tolist() == [200] * 6 and log.z.shape == (6, 200, 15)
@@ -97,7 +95,6 @@ def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
 def test_a_calibration_leaves_the_process_as_it_was(
     collecting: bool, breaks: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Meanwhile it has the last of its cores and no garbage collector; an error restores both."""
     cores, seen = os.sched_getaffinity(0), []
 
     def replayed(name: str) -> object:

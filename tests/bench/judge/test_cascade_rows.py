@@ -32,7 +32,6 @@ def judged(units: str = "scaled", spoil: Any = None) -> tuple[pd.DataFrame, dict
 
 
 def test_both_qps_are_timed_together_and_apart() -> None:
-    """The total is the sum; the phases are those of the first QP."""
     logs: list[RawLog] = []
     steps, run = judged(spoil=logs.append)
     log = logs[0]
@@ -58,8 +57,6 @@ def test_a_right_cascade_is_right(units: str) -> None:
 
 
 def test_a_wrong_allocation_makes_its_step_wrong() -> None:
-    """Its error stands in a column of its own, and counts for the run."""
-
     def spoil(log: RawLog) -> None:
         assert log.allocation is not None
         log.allocation.z[0, BAD, 2] += 0.05
@@ -73,8 +70,6 @@ def test_a_wrong_allocation_makes_its_step_wrong() -> None:
 
 
 def test_an_allocation_without_an_answer_fails_its_step() -> None:
-    """As the flag of the loop says, and the status of the step tells why."""
-
     def spoil(log: RawLog) -> None:
         assert log.allocation is not None
         log.allocation.status[0, BAD], log.flags[BAD, 0] = Status.NUMERICAL_ERROR, 1
@@ -85,7 +80,6 @@ def test_an_allocation_without_an_answer_fails_its_step() -> None:
 
 
 def test_the_baseline_law_allocates_by_the_pseudo_inverse() -> None:
-    """It holds the ship for a while, and has one QP a step to be judged by."""
     case = load_scenario("thrusters_cascade").first(STEPS)
     steps = run_closed_loop(case, open_workspace("unconstrained_clipped"), formulation="none").steps
     assert steps["allocation_ns"].isna().all()
@@ -134,7 +128,6 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
 
 @pytest.mark.parametrize("certificate", ["none", "undecided"])
 def test_what_is_not_known_of_either_qp_is_not_known_of_the_step(certificate: str) -> None:
-    """Whichever of the two it is."""
     unknown = answers(certificate=[certificate, *["linear"] * 4])
     for pair in ((unknown, answers()), (answers(), unknown)):
         assert joined(*pair)["certificate"].tolist() == [certificate, *["linear"] * 4]

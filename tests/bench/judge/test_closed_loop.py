@@ -33,8 +33,6 @@ def figure(evaluated: Evaluated, name: str) -> Any:
 
 
 def test_each_column_is_that_of_the_log() -> None:
-    """Fallback, unconverged and clipped in this order; of all arrays as many rows as steps."""
-
     def change(log: RawLog) -> None:
         log.flags[:] = 0
         log.flags[[0, 1, 2], [0, 1, 2]] = 1
@@ -57,7 +55,6 @@ def test_each_column_is_that_of_the_log() -> None:
 
 
 def test_the_steps_that_were_done_are_those_that_are_judged() -> None:
-    """Three of five, with the state after the third; of none there are no metrics."""
     found, _ = judged(lambda log: log.done.fill(3))
     assert len(found.columns["k"]) == len(found.columns["tau"]) == 3
     assert len(found.columns["state"]) == 4 and found.metrics
@@ -66,8 +63,6 @@ def test_the_steps_that_were_done_are_those_that_are_judged() -> None:
 
 
 def test_a_step_that_was_not_asked_has_no_answer_to_judge() -> None:
-    """A solve of no time is one, and a solve that is absent is none."""
-
     def change(log: RawLog) -> None:
         log.times[0, :, SOLVE] = [7, 0, -1, -2, 7]
 
@@ -169,14 +164,12 @@ def evaluation(qp: QuadraticProgram, z: Any, y_box: Any, status: Status = Status
 def test_the_optimum_is_true_under_any_usable_status(
     q: list[float], active: int, status: Status
 ) -> None:
-    """A variable is at its limit where q reaches beyond it; the claim does not matter."""
     found = evaluation(problem(q), -np.clip(q, -1.0, 1.0), np.clip(q, -1.0, 1.0) - q, status)
     assert found["n_active"] == active
     assert found["error_plan"] == 0.0 and found["true_1e6"] == 1.0 and found["dual"] == 0.0
 
 
 def test_a_claim_of_infeasibility_is_true_where_no_point_is_feasible() -> None:
-    """It is false with the optimum in hand, and true without an optimum to be away from."""
     qp = problem([-2.0, 0.0])
     infeasible = Status.PRIMAL_INFEASIBLE
     assert evaluation(qp, [1.0, 0.0], [1.0, 0.0], infeasible)["true"] == 0.0
@@ -186,13 +179,11 @@ def test_a_claim_of_infeasibility_is_true_where_no_point_is_feasible() -> None:
 
 
 def test_a_wrong_last_move_is_an_error_of_the_plan_alone() -> None:
-    """The first move alone is applied."""
     found = evaluation(problem([-2.0, 0.0]), [1.0, 0.5], [1.0, 0.0])
     assert (found["error_move"], found["error_plan"], found["true"]) == (0.0, 0.5, 0.0)
 
 
 def test_no_answer_is_infinitely_wrong() -> None:
-    """NaN in the iterate makes residuals and errors infinite, never small."""
     (found,) = evaluations([(problem([-2.0, 0.0]), Solution.missing(2, 2, Status.SOLVED))])
     assert {found[name] for name in ("error_move", "error_plan", "primal", "dual")} == {np.inf}
     assert found["true"] == 0.0
@@ -239,7 +230,6 @@ def test_an_answer_without_multipliers_gets_those_of_the_limits_it_meets(
 
 
 def test_many_answers_are_judged_as_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the last bit, however many are judged at once; missing and false ones among them."""
     rng, cases = np.random.default_rng(1), list[Case]()
     for i in range(23):
         answer = Solution(Status.SOLVED, *(rng.normal(size=2) for _ in range(3)))

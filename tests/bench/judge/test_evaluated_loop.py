@@ -90,7 +90,6 @@ def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -
 
 
 def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
-    """The reference moves from sample to sample, and each state is compared with its own."""
     case = load_scenario("move_filtered").first(STEPS)
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS

@@ -30,7 +30,6 @@ NAN = math.nan
 def test_each_figure_beyond_its_limit_shows_a_memory(
     figures: tuple[float, float, float, float], remembered: bool
 ) -> None:
-    """A figure at its limit shows none, a missing one neither."""
     assert is_remembered(*figures) is remembered
 
 
@@ -127,7 +126,6 @@ def test_a_slow_machine_explains_slow_first_visits() -> None:
 
 
 def test_a_round_that_was_run_again_is_a_later_visit() -> None:
-    """Its last attempt is a visit like others, and its switches are not those of the first."""
     log = _log([30] * 20, [10] * 20, [15] * 20, attempts=np.array([1, 2, 1]))
     log.counters[1, COUNTERS.index("involuntary_switches")] = 8.0
     assert _metrics(log) == (3.0, 0.0)
@@ -147,7 +145,6 @@ def test_the_warm_up_is_asked_where_too_few_steps_follow_it() -> None:
 
 
 def test_a_round_without_steps_is_no_visit() -> None:
-    """A replay that was stopped has steps without a later visit."""
     log = _log([30] * 40, [99] * 40, [10] * 20, [])
     assert _metrics(log) == (3.0, 0.0)
     assert math.isnan(_metrics(_log([30] * 40, [99] * 40, []))[0])
@@ -192,14 +189,12 @@ REPLAY = {"mode": "replay", "raw_p50_ns": 2.0, "raw_p90_ns": 8.0}
 def test_the_longest_sound_loop_of_a_configuration_over_its_replay(
     loop: dict[str, Any], ratios: tuple[float, float]
 ) -> None:
-    """A loop that failed, was stopped, ran on a slow computer or is of another one is left out."""
     found = with_loop_ratio(_rows({}, REPLAY, loop))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == list(ratios)
     assert found.loc[[0, 2], ["loop_ratio", "loop_tail_ratio"]].isna().all().all()
 
 
 def test_loop_ratios_without_their_columns() -> None:
-    """Without a loop, a percentile or the failed steps there is no ratio."""
     columns = ["loop_ratio", "loop_tail_ratio"]
     assert with_loop_ratio(_rows(REPLAY))[columns].isna().all().all()
     assert (
@@ -210,7 +205,6 @@ def test_loop_ratios_without_their_columns() -> None:
 
 
 def test_a_cascade_is_compared_by_its_controller() -> None:
-    """The time of the controller alone counts where it is known."""
     found = with_loop_ratio(_rows({"controller_p50_ns": 4.0}, REPLAY))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == [2.0, 2.5]
     found = with_loop_ratio(_rows({"controller_p50_ns": NAN}, REPLAY))

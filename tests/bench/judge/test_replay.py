@@ -74,7 +74,6 @@ def test_the_times_are_those_of_the_recorded_run() -> None:
 
 
 def test_without_judging_nothing_is_said() -> None:
-    """No figure, no certificate; the columns and what was repeated are there."""
     log = log_of([[1.0], [1.0, 2.0, 3.0]])
     found = evaluate_sequence(log, sequence(), 0.3, judged=False)
     assert np.isnan(found.columns["evaluations"]).all() and kinds(found) == ["none"] * 4
@@ -83,7 +82,6 @@ def test_without_judging_nothing_is_said() -> None:
 
 
 def test_given_optima_are_those_that_count() -> None:
-    """One for each step: the answers of all rounds are as far from them as they are."""
     qps = sequence()
     optima = [
         replace(certify(qps.problem(k)), kind=kind, z=np.array([float(k)]))
@@ -116,7 +114,6 @@ def test_matrices_of_a_step_hold_for_its_answers_alone() -> None:
 
 
 def test_a_replay_that_never_began_has_no_rows() -> None:
-    """Its columns are there all the same."""
     for answers in ([[], []], [[]]):
         found = evaluate_sequence(log_of(answers), sequence(), 0.3)
         assert all(len(found.columns[name]) == 0 for name in ("k", "t_s", "times"))
@@ -136,7 +133,6 @@ def alike(rounds: int = 3, steps: int = 4) -> RawLog:
 
 
 def test_rounds_that_are_alike_are_identical() -> None:
-    """The same bits in every round, NaN included."""
     log = alike()
     log.z[:, 2] = np.nan
     assert repeatability(log, ONES) == {
@@ -148,7 +144,6 @@ def test_rounds_that_are_alike_are_identical() -> None:
 
 
 def test_the_last_bit_counts_and_so_does_the_sign_of_zero() -> None:
-    """One step off by one unit in the last place, another by the sign of its zero."""
     log = alike()
     log.z[2, 1, 0] = np.nextafter(2.0, 3.0)
     log.z[1, 0, 0] = -0.0
@@ -168,7 +163,6 @@ def test_spreads_are_the_largest_and_in_scaled_units() -> None:
 
 
 def test_an_answer_that_is_missing_once_is_not_the_same() -> None:
-    """A number in one round and none in another: not the same bits, and no distance to measure."""
     log = alike()
     log.z[1, 0] = np.nan
     found = repeatability(log, ONES)
@@ -176,7 +170,6 @@ def test_an_answer_that_is_missing_once_is_not_the_same() -> None:
 
 
 def test_only_what_was_recorded_is_compared() -> None:
-    """Rows behind the end of a shorter round hold nothing: no difference, no repetition."""
     log = alike(rounds=2)
     log.done[0] = 2
     log.z[0, 2:] = 99.0

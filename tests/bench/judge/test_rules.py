@@ -83,7 +83,6 @@ def _judged(log: RawLog) -> Evaluated:
 def test_the_run_counts_the_rounds_that_the_report_counts(
     slowed: tuple[int, ...], rounds: int, disturbed: int, counting_disturbed: int
 ) -> None:
-    """Never the warm-up, no disturbed round."""
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
     (shown,) = dict(times_by_run(steps)).values()
     assert (run["rounds"], run["raw_samples"]) == (rounds, rounds * STEPS)
@@ -93,7 +92,6 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
 
 
 def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
-    """Neither run nor report counts a step of a warm-up."""
     log = _log([CALM] * 4)
     log.done[1:] = 0
     steps, run = _tables(_judged(log))
@@ -133,7 +131,6 @@ def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
 
 
 def test_without_a_certificate_no_claim_is_false() -> None:
-    """Claims of steps that nobody could certify are counted as uncertified, and as nothing else."""
     _, run = _tables(_certified("none", 6, _log([CALM] * 3)))
     assert (run["uncertified"], run["undecided_steps"]) == (12, 0)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
@@ -142,7 +139,6 @@ def test_without_a_certificate_no_claim_is_false() -> None:
 
 @pytest.mark.parametrize("status", list(Status))
 def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> None:
-    """Whatever is answered there, it is neither failed nor false, and counted as undecided."""
     log = _log([CALM] * 3, [status] * 6)
     log.z[:, :6] = np.nan
     evaluated = _certified("undecided", 6, log)
@@ -155,7 +151,6 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
 
 
 def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() -> None:
-    """On infeasible steps a missing answer is none to give, a claimed one false."""
     log = _log([CALM] * 2, [Status.PRIMAL_INFEASIBLE, Status.SOLVED, Status.MAX_ITERATIONS])
     _, run = _tables(_certified("infeasible", 3, log))
     assert (run["infeasible_steps"], run["uncertified"]) == (3, 0)
@@ -163,7 +158,6 @@ def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() 
 
 
 def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> None:
-    """NaN under SOLVED is a failed step also where no optimum is known; certified, it is a lie."""
     log = _log([CALM] * 2)
     log.z[:, [2, 10]] = np.nan
     _, run = _tables(_certified("none", 6, log))
@@ -172,7 +166,6 @@ def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> N
 
 @pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
-    """With one sample fewer there is no number."""
     assert supports(needed, percent) and not supports(needed - 1, percent)
     assert np.isfinite(percentile(np.arange(float(needed)), percent))
     assert np.isnan(percentile(np.arange(needed - 1.0), percent))
@@ -197,7 +190,6 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
 
 
 def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
-    """A status without an answer, an infinite plan error or residual makes it unusable."""
     steps = {
         "status": np.array(["ERROR", "SOLVED", "SOLVED", "MAX_ITERATIONS", "SOLVED"]),
         "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
@@ -207,7 +199,6 @@ def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
 
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
-    """An unknown error of either QP leaves that of the other."""
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
     np.testing.assert_array_equal(errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
@@ -215,7 +206,6 @@ def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
 
 
 def test_medians_and_maxima_are_of_what_is_there() -> None:
-    """NaN is no value; of nothing there is neither."""
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
     assert (median(values), largest(values)) == (3.0, 8.0)
     assert largest([-2.0, -3.0]) == -2.0
@@ -245,7 +235,6 @@ CASES = {
 
 @pytest.mark.parametrize("as_table", [False, True])
 def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> None:
-    """Failed, falsely claimed, not claimed, unknown, of no use: in arrays and in tables."""
     columns = {
         name: np.array([case[i] for case in CASES], dtype=object if i < 2 else bool)
         for i, name in enumerate(FACTS)

@@ -81,7 +81,6 @@ def test_fallbacks_of_a_known_run() -> None:
 
 
 def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
-    """A loop without a fallback, or with one that never ends, has no recovery time."""
     row = closed_loop_row(true=flags("110"))
     assert (row["fallbacks"], row["fallback_longest"]) == (0, 0)
     assert row["recover_steps_max"] is pd.NA
@@ -127,7 +126,6 @@ def test_accuracy_of_a_known_run() -> None:
 
 
 def test_the_median_error_is_one_that_occurred_and_an_infinite_one_counts() -> None:
-    """Of an even number of errors the median is the upper of the middle two; of none it is NaN."""
     assert closed_loop_row(error_move=[0.4, 0.1, 0.3, 0.2])["error_move_p50"] == 0.3
     assert closed_loop_row(error_move=[0.1, INF, NAN])["error_move_max"] == INF
     unknown = closed_loop_row(error_move=[NAN] * 2, certificate=["undecided"] * 2)
@@ -181,7 +179,6 @@ def test_a_late_answer_is_judged_as_any_other() -> None:
 
 
 def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
-    """Rounds of one (the warm-up), three and two steps, of which one or two count."""
     repeat, k = np.array([0, 1, 1, 1, 2, 2]), np.array([0, 0, 1, 2, 0, 1])
     kernels = {"reference_kernel_ns": np.ones((3, 2)), "load_kernel_ns": np.ones((3, 1, 1))}
     judged = Evaluated(ONCE | kernels | {"repeat": repeat}, {"r_rms_m": 0.5})
@@ -199,7 +196,6 @@ def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
 
 
 def test_a_cell_without_steps_has_its_identity_only() -> None:
-    """Configuration, machine and outcome are there, and no figure."""
     judged, steps = Evaluated(ONCE, {"r_rms_m": 0.5}), loop_steps(true=flags("1"))
     none = {name: column[:0] for name, column in steps.items()}
     for parts in ((none, judged), (None, judged), (steps, None)):
@@ -286,5 +282,4 @@ def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> N
 def test_times_are_ranked_where_they_were_taken_alone(
     concurrency: float, machine: str, ranked: bool
 ) -> None:
-    """Ranked times come from one cell at a time on the machine of the folder."""
     assert is_ranked(concurrency, machine, "a") is ranked

@@ -70,7 +70,6 @@ def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
 
 
 def test_what_an_answer_claims_and_took() -> None:
-    """Phases that did not take place are absent, and the total is that of the others."""
     steps = loop()
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "TIME_LIMIT"]
     assert steps["claimed"].tolist() == [True, False, False]
@@ -94,7 +93,6 @@ def test_what_the_referee_found() -> None:
 
 
 def test_where_the_ship_was_and_what_moved_it() -> None:
-    """The state at the start of each step; each force, and its change from step to step."""
     steps = loop()
     names = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
     for i, name in enumerate(names):
@@ -110,7 +108,6 @@ def test_where_the_ship_was_and_what_moved_it() -> None:
 
 
 def test_a_step_without_a_computation_claims_nothing() -> None:
-    """On a slow computer the third one began none: no status, no times but that of the loop."""
     steps = loop(slowdown=3.0)
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", ""]
     assert steps["emit_ns"].tolist() == [1, 2, ABSENT]
@@ -121,7 +118,6 @@ def test_a_step_without_a_computation_claims_nothing() -> None:
 
 
 def test_the_second_answers_of_a_cascade_join_the_first() -> None:
-    """Their times add up, and their error has a column of its own."""
     second = of_qps([[0, -1, 1, 2, 3, 0]] * 3, true=[1.0] * 3, error_move=[9.0, 8.0, 7.0])
     steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
     assert steps["allocation_ns"].tolist() == [6] * 3
@@ -156,6 +152,5 @@ def test_rounds_of_a_replay(
 
 
 def test_some_of_the_rows_are_those_of_every_column() -> None:
-    """In their order."""
     rows = select_rows({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
     assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

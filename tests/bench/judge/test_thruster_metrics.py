@@ -66,12 +66,6 @@ def test_shares_of_full_thrust_and_power() -> None:
     assert found["power_share"] == pytest.approx(459 / 9125)
 
 
-def test_full_thrust_is_a_share_of_one() -> None:
-    """All thrusters at their largest force have shares of 1."""
-    found = metrics_of([[100, 0, 25, 400]])
-    assert found["thrust_share"] == found["power_share"] == pytest.approx(1.0)
-
-
 def test_wear_is_the_change_of_every_entry() -> None:
     """The variation is 0.15 + 0.2 + 0.64 + 0.2025 up, and 0.99 down again."""
     found = metrics_of([[15, -20, -16, 81], [0, 0, 0, 81]])
@@ -149,7 +143,6 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    """Zero force of a thruster whose limits are zero is not at a limit."""
     limits = [ROWS.without({1})] * 2
     for main, share in ((0.0, 0.0), (400.0, 0.5)):
         run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
@@ -172,7 +165,6 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
     ],
 )
 def test_an_increment_beyond_the_rate_is_a_violation(step: list[float], violations: int) -> None:
-    """The first increment counts from zero; a step counts once."""
     assert metrics_of([step])["limit_violations"] == violations
 
 
@@ -234,7 +226,6 @@ def test_rounding_of_the_way_back_is_a_share_of_the_increment(
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Violations count steps, not thrusters or limits."""
     run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
     run.append([0, 0, 6.25, 100])
     low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))

@@ -84,7 +84,6 @@ def test_where_all_rounds_are_disturbed_they_count_and_are_counted() -> None:
 
 
 def test_disturbed_rounds_are_named_by_their_number() -> None:
-    """The rows of the kernel belong to the rounds that are recorded, in their order."""
     columns = {
         "repeat": np.array([0, 2, 2, 5]),
         "reference_kernel_ns": np.array([[4, 4], [4, 9], [9, 4]]),
@@ -116,7 +115,6 @@ def looped(**columns: Any) -> dict[str, Any]:
 
 
 def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
-    """Phases that did not take place are no times of zero; a loop has no rounds."""
     timing = looped()
     assert (timing["raw_p50_ns"], timing["raw_max_ns"], timing["raw_samples"]) == (10.5, 20.0, 20)
     assert timing["emit_p50_ns"] == 4.0
@@ -163,7 +161,6 @@ def test_a_round_that_ended_early_leaves_its_later_steps_to_the_others() -> None
 
 
 def test_a_kernel_that_was_not_timed_is_no_time() -> None:
-    """Zero is no time: neither of the reference kernel nor of the load kernel."""
     assert reference_kernel_median({"reference_kernel_ns": np.array([[0.0, 1.0]])}) == 1.0
     load = {"repeat": np.array([1, 2]), "load_kernel_ns": np.array([[[1.0, 2.0]], [[3.0, 0.0]]])}
     assert load_time(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))

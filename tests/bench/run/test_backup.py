@@ -71,7 +71,6 @@ def steps_of(log: RawLog) -> tuple[list[int], list[int]]:
     ("name", "steps", "backup"), [("paper", 40, "daqp"), ("turn", 60, "paper_active_set")]
 )
 def test_a_right_backup_makes_failures_harmless(name: str, steps: int, backup: str) -> None:
-    """The ship goes where it went without a failure, also past steps that bring new matrices."""
     scenario = load_scenario(name).first(steps)
     failing = {0, 3, 4, *range(20, steps, 2)}
     run = run_closed_loop(scenario, FailingAt(failing), backup=backup)
@@ -99,8 +98,6 @@ def test_when_both_fail_the_fallback_acts(scenario: Scenario) -> None:
 def test_without_a_backup_there_is_none(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An ordinary loop has neither the object nor room for it in its log."""
-
     monkeypatch.setattr(Backup, "__init__", None)
     run = run_closed_loop(scenario, FailingAt({3}))
     assert not run.steps["backup"].any() and run.summary["backup_asked"] is pd.NA
@@ -174,7 +171,6 @@ def test_a_suite_names_its_backup() -> None:
 
 
 def test_an_unknown_backup_is_one_line() -> None:
-    """It names the key and the nearest solvers."""
     with pytest.raises(
         UnknownNameError, match=r"closed_loop.backup: found 'dapq'; allowed: daqp, "
     ):
@@ -182,7 +178,6 @@ def test_an_unknown_backup_is_one_line() -> None:
 
 
 def test_a_backup_from_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers of another solver do not load it."""
     from dpbench.bench.plan import configurations
 
     monkeypatch.setattr(configurations, "module_of", lambda solver: str(tmp_path / "mine.py"))

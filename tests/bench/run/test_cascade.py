@@ -120,7 +120,6 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    """Plan of the force, its allocation and the ship's motion, one after the other."""
     assert case.controller.commanded is not None
     T_e = case.controller.commanded.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
@@ -152,7 +151,6 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
 def test_every_form_steers_as_the_exact_loop_does(
     case: Scenario, exact: ExactLoop, solver: str, fields: dict[str, Any]
 ) -> None:
-    """Condensed, one-sided and sparse, scaled and in SI, by solvers of several kinds."""
     workspace = open_workspace(solver, route="native", settings="high")
     log = steered_by(case, workspace, **fields).log
     away = np.abs(log.state - exact.state).max(axis=0)
@@ -181,7 +179,6 @@ def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
 
 
 def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
-    """The force is limited by what the other board gives: far less of it is not delivered."""
     missing = {}
     for limits in ("box", "attainable"):
         files = copy.deepcopy(load_scenario("thrusters_cascade").files)
@@ -200,7 +197,6 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
 
 
 def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
-    """A share of the limits for its forces, lost thrusters for its allocation, each in its time."""
     faults = [{"at_s": 3.0, "lost": ["bow 1"]}, {"at_s": 1.5, "limit_share": [0.5, 0.5, 0.5]}]
     case = scenario(20, tables={"faults": faults})
     builder = QPBuilder(case)
@@ -229,7 +225,6 @@ def function_workspace() -> FunctionWorkspace:
 
 
 def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: Scenario) -> None:
-    """Every step is one without a usable answer, and its cause is told."""
     setup = steered_by(case, function_workspace())
     log, builder = setup.log, QPBuilder(case)
     assert log.flags[:, 0].all()
@@ -248,7 +243,6 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
 
 
 def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
-    """In calm water it makes the whole force that is demanded."""
     still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
     moved = scenario_of(copy.deepcopy(still.files))
     log = steered_by(moved, open_workspace("daqp", route="native", settings="high")).log
@@ -258,7 +252,6 @@ def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
 
 
 def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
-    """By a clock that counts its readings: what a second QP takes goes to its own phases."""
     counts = []
     for allocation in ("qp", "pseudo_inverse"):
         steered = scenario(5, allocation=allocation)
@@ -280,7 +273,6 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
 def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
     case: Scenario, exact: ExactLoop, tmp_path: Path
 ) -> None:
-    """What is read is what was written, and a log has room for both QPs."""
     path = tmp_path / "loop.npz"
     for loop in (exact, solve_exactly(scenario(3, allocation="pseudo_inverse"))):
         loop.save(path)
@@ -297,7 +289,6 @@ def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units: str) -> None:
-    """Every solver can replay them; the loop's certified optima are theirs."""
     sequence = sequence_of(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
     assert (sequence.name, len(sequence)) == ("thrusters_cascade-allocation[7:27]", 20)
     assert sequence.sparse_equivalent is None
@@ -314,14 +305,12 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
 
 
 def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
-    """Neither those of forces alone, nor a cascade by pseudo-inverse."""
     for other in (load_scenario("calm").first(2), scenario(2, allocation="pseudo_inverse")):
         with pytest.raises(InputError, match="a cascade with allocation"):
             sequence_of(other, solve_exactly(other), part="allocation")
 
 
 def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:
-    """No slow computer is simulated; a workspace of unknown making cannot be doubled."""
     with pytest.raises(InputError, match="not of a cascade"):
         run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
     with pytest.raises(InputError, match="needs two workspaces; open this one by open_workspace"):

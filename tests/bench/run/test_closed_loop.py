@@ -79,7 +79,6 @@ def test_first_step_sees_no_motion_and_no_force(scenario: Scenario) -> None:
 
 
 def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
-    """Without force or weather she goes on straight, as the exact decay of her speed says."""
     velocity = np.array([0.8, 0.0, 0.0])
     still = replace(scenario.environment, amplitude=np.zeros(3))
     moving = replace(scenario, velocity=velocity, environment=still)
@@ -96,7 +95,6 @@ def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["measured", "kalman", "passive"])
 def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -> None:
-    """The first estimate is the state the run starts in, its speed included."""
     files = copy.deepcopy(scenario.files)
     files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
     files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
@@ -113,7 +111,6 @@ def test_increments_are_differences_of_the_measured_state(scenario: Scenario) ->
 
 
 def test_u_prev_is_the_force_applied_after_clipping(scenario: Scenario) -> None:
-    """A demand beyond the rate limit is clipped, and the next step knows the clipped force."""
     log, _, _ = run(scenario, constant(7.0))
     np.testing.assert_array_equal(log.theta[1:, 12:15], log.tau[:-1])
     assert log.flags[:, 2].all(), "every step was clipped"
@@ -153,7 +150,6 @@ def failing_from(first: int, status: Status = Status.PRIMAL_INFEASIBLE) -> Answe
 
 
 def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> None:
-    """After the last usable plan its second, third … moves are applied, then the force is held."""
     log, workspace, _ = run(scenario, failing_from(3))
     moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.problem.du_max
     np.testing.assert_allclose(moves[2:9, 0], [0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], atol=1e-9)
@@ -197,7 +193,6 @@ def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status:
 def test_an_iterate_under_a_failed_status_is_not_applied(
     scenario: Scenario, status: Status
 ) -> None:
-    """Under infeasible, error and time-limit claims the fallback acts even on a finite iterate."""
     answer: Answer = lambda k, step: Solution(  # noqa: E731 - see above
         status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
     )
@@ -207,8 +202,6 @@ def test_an_iterate_under_a_failed_status_is_not_applied(
 
 
 def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:
-    """An exception inside a workspace becomes status ERROR with its words, and the run goes on."""
-
     def answer(k: int, step: QPStep) -> Solution:
         if k % 2:
             raise ArithmeticError("the library blew up")
@@ -221,8 +214,6 @@ def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:
 
 
 def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
-    """A run stopped by its limit says so and keeps the steps it did."""
-
     def slow(k: int, step: QPStep) -> Solution:
         time.sleep(0.01)
         return Solution(Status.SOLVED, np.zeros(15), np.zeros(15), np.zeros(15))
@@ -247,7 +238,6 @@ axis = st.floats(-1.0, 1.0)
 def test_limit_move_keeps_rate_and_reachable_amplitude(
     u: float, du: float, step: float, low: float, high: float
 ) -> None:
-    """The applied force obeys the rate limit always, and the amplitude as soon as it can."""
     applied = np.empty(1)
     arrays = (np.array([v]) for v in (step, u, du, low, high))
     limit_move(*arrays, applied)
@@ -259,14 +249,12 @@ def test_limit_move_keeps_rate_and_reachable_amplitude(
 
 
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
-    """Before there ever was a usable plan, the shifted plan is to hold."""
     law = FALLBACKS[DEFAULT_FALLBACK](15, 3, UnconstrainedLaw(condense(scenario)))
     np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))
 
 
 @pytest.mark.parametrize("name", ["weather", "waves"])
 def test_the_weather_of_a_shorter_run_is_the_beginning_of_a_longer_one(name: str) -> None:
-    """However many samples are asked for, also beyond those that are summed up at a time."""
     scenario = load_scenario(name)
     sea, sample_s = scenario.environment, scenario.sample_s
     for steps, more in ((1, 2), (100, 101), (1021, 1400)):

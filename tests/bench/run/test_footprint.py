@@ -40,14 +40,11 @@ def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
-    """A stored object costs no block; a new answer is an object with three arrays."""
     idle, copied = (_measured(open_calibration(name)) for name in (NO_OP, COPY_ONLY))
     assert (idle[0], copied[0]) == (0.0, 4.0)
 
 
 def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
-    """A megabyte that lives only within solve is seen, and is no block that is left."""
-
     class Spender(NoOp):
         def solve(self) -> None:
             np.ones(MEGABYTE, dtype=np.uint8)
@@ -78,7 +75,6 @@ def test_a_library_that_leaks_is_seen() -> None:
 
 
 def test_nothing_is_measured_without_a_step() -> None:
-    """A configuration whose slowest step takes too long has no numbers instead of a hang."""
     log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
     log.times[:] = -1
     assert affordable_steps(log) == 30
@@ -112,7 +108,6 @@ def test_threads_are_counted() -> None:
 
 
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
-    """What an earlier one left is not counted, what the later one takes is."""
     log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
     memory = MemoryWatch()
     memory.opened()

@@ -95,7 +95,6 @@ LOOPS = {
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
-    """The solver gets states, the log, the fallback and the referee the condensed problem."""
     scenario = LOOPS[name]()
     seen = workspace()
     run = run_closed_loop(scenario, seen, formulation="sparse")
@@ -110,7 +109,6 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
-    """Steps with states along the exactly solved loop."""
     sequence = record_sequence(load_scenario("paper").first(25))
     inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
     run = replay(sequence, inner, repeats=2, formulation="sparse")
@@ -120,7 +118,6 @@ def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
 
 
 def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
-    """Moves and forces times Δu_max, states as they are: the same problem, entry by entry."""
     scenario = load_scenario("paper").first(4)
     scaled, own = (
         record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")
@@ -146,7 +143,6 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 
 
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
-    """Loop and replay emit the same QPs with the states kept, and their optima agree."""
     scenario = with_horizons(early_loss(), 6, 3).first(24)
     assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
@@ -163,7 +159,6 @@ def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
 
 
 def test_formulations_are_an_axis_of_the_tables() -> None:
-    """Each formulation is a cell of its own on the same problem; the default is one formulation."""
     three = ["condensed_box", "condensed_stacked", "sparse"]
     table = ReplayTable(scenario="paper", steps=10, formulations=three)
     loops = ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
@@ -193,7 +188,6 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
     ],
 )
 def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
-    """Layers and a model that turns refuse the sparse formulation with the reason, and no other."""
     table = ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
     box, sparse = plan(_suite(replay=[table]))
     assert box.refused == ""
@@ -205,7 +199,6 @@ def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> 
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
-    """States cost nothing in most directions, so P is only semidefinite."""
     table = ReplayTable(scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"])
     refused = {
         (p.cell.solver, p.cell.formulation): p.refused
@@ -220,7 +213,6 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
 
 
 def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
-    """PlannedCell as a refused row; asked for in process, one line."""
     assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
     table = RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
     planned = plan(_suite(recorded=[table]), beside=tmp_path)
@@ -249,7 +241,6 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.slow
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
-    """Three formulations end to end, in processes of their own: rows, assessment and the report."""
     suite = tmp_path / "three.toml"
     suite.write_text(
         """
@@ -286,7 +277,6 @@ formulations = ["condensed_box", "sparse"]
 
 
 def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
-    """The suite that ships has every formulation and each cell once."""
     _, suite = load_suite("formulations")
     cells = [planned.cell for planned in plan(suite)]
     assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}

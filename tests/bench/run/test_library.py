@@ -57,13 +57,11 @@ def without_answer(loop: ExactLoop) -> int:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_applied_force_obeys_the_limits_of_its_time(name: str) -> None:
-    """No force violates a limit, whatever the weather, the estimator and the faults do."""
     assert metrics(name)["limit_violations"] == 0
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "thruster_loss_hard"])
 def test_every_step_has_a_certified_optimum(name: str) -> None:
-    """Only hard limits make QPs infeasible."""
     assert without_answer(exact(name)) == 0
 
 
@@ -117,7 +115,6 @@ def test_a_previewed_reference_filter_keeps_the_move_off_the_limits() -> None:
 
 
 def test_without_preview_the_ship_follows_later() -> None:
-    """A controller that does not see the reference coming trails it further behind."""
     scenario = replace(load_scenario("move_filtered"), preview=False)
     assert (
         measured(scenario, solve_exactly(scenario))["r_rms_m"]
@@ -163,7 +160,6 @@ def test_wrap_takes_the_short_way() -> None:
 
 
 def test_a_lost_thruster_makes_hard_limits_infeasible_and_reachable_ones_not() -> None:
-    """Infeasible steps: some with hard limits, right after the loss; none reachable or soft."""
     lost = round(121.0 / 0.3)
     hard = np.isnan(exact("thruster_loss_hard").z).any(axis=1)
     assert hard.any()
@@ -181,7 +177,6 @@ def test_after_the_loss_sway_stays_within_what_is_left() -> None:
 
 
 def test_an_estimator_with_a_wave_filter_keeps_waves_out_of_the_limits() -> None:
-    """Steps at a rate limit: hardly any with Kalman filter or observer, many without filter."""
     assert at_rate(metrics("waves")) < 0.02
     assert at_rate(metrics("waves_passive")) < 0.02
     assert at_rate(metrics("waves_unfiltered")) > 0.2
@@ -190,7 +185,6 @@ def test_an_estimator_with_a_wave_filter_keeps_waves_out_of_the_limits() -> None
 
 
 def test_waves_in_a_controller_without_estimator_keep_the_rate_limits_active() -> None:
-    """Fed with the bare measurement, most steps are at a rate limit."""
     scenario = load_scenario("waves")
     bare = replace(scenario, estimation=replace(scenario.estimation, waves=None))
     assert at_rate(measured(bare, solve_exactly(bare))) > 0.6
@@ -246,7 +240,6 @@ def top_speed(scenario: Scenario, loop: ExactLoop) -> float:
 
 
 def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
-    """Hard limits after the loss: the fallback acts three times, and no step counts as failed."""
     scenario = load_scenario("thruster_loss_hard").first(420)
     summary = run_closed_loop(scenario, open_workspace("daqp")).summary
     assert summary["infeasible_steps"] == summary["fallbacks"] == 3
@@ -256,7 +249,6 @@ def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
 
 
 def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
-    """A thruster at its limit in a quarter of the steps, force missing in a tenth."""
     scenario, loop = load_scenario("thrusters_cascade"), exact("thrusters_cascade")
     found = metrics("thrusters_cascade")
     assert 0.2 <= found["at_limit_thrusters"] <= 0.35
@@ -329,7 +321,6 @@ def assert_same(one: Optimum, other: Optimum) -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> None:
-    """States, forces and certified optima alike, whatever the scenario has."""
     scenario = load_scenario(name)
     short, long = (solve_exactly(scenario.first(steps)) for steps in (SHORT, LONG))
     states = len(short.state)

@@ -56,12 +56,10 @@ def limited(
 def test_rate_first_then_amplitude_on_both_sides(
     u: float, du: float, low: float, high: float, applied: float
 ) -> None:
-    """The rate limit has priority over the amplitude limits on both sides."""
     assert limited([u], [du], [low], [high]) == ([applied], applied != u + du)
 
 
 def test_every_axis_has_its_own_limits() -> None:
-    """One clipped axis marks the whole move as clipped."""
     low, high = [-50.0] * 3, [80.0] * 3
     assert limited([0, 75, -45], [3, 9, -9], low, high) == ([3.0, 80.0, -50.0], True)
     assert limited([75, 0, 0], [9, 3, -3], low, high) == ([80.0, 3.0, -3.0], True)
@@ -110,7 +108,6 @@ ROWS = thruster_rows(THRUSTERS, 4)
 def test_every_thruster_is_limited_as_a_whole(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
-    """Each thruster has its own rate and limits; a lost one returns to zero."""
     found, move = np.full(3, np.nan), np.array(df, dtype=float)
     limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
     clipped = limit(np.array(f, dtype=float), move, ROWS.without(lost), found)
@@ -144,7 +141,6 @@ AZIMUTH = ThrusterSet(
 def test_an_azimuth_is_cut_along_its_move(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
-    """Both components are cut alike, from the force before or from the way back to zero."""
     rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
     limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
     move = np.array(df, dtype=float)

@@ -133,7 +133,6 @@ def test_the_instant_of_arrival(
 
 
 def test_nothing_arrives_and_the_fallback_steers_alone(scenario: Scenario) -> None:
-    """The largest slow-down there may be: one computation, no force, every step recorded."""
     log = run(scenario, Planned(lambda i: 1.0), slowdown=SLOWEST)
     assert asked(log) == [0]
     assert not log.tau.any() and log.flags[:, 0].all()
@@ -141,7 +140,6 @@ def test_nothing_arrives_and_the_fallback_steers_alone(scenario: Scenario) -> No
 
 
 def test_a_failed_solve_keeps_the_processor_and_brings_nothing(scenario: Scenario) -> None:
-    """An unusable answer takes its time too; the workspace is reset for it alone."""
     workspace = Planned(lambda i: 2.0, Status.PRIMAL_INFEASIBLE)
     log = run(scenario, workspace)
     assert asked(log) == list(range(0, 24, 2))
@@ -158,7 +156,6 @@ def test_a_failed_solve_keeps_the_processor_and_brings_nothing(scenario: Scenari
 def test_one_processor_and_no_limit_violated(
     scenario: Scenario, latencies: list[float], moves: list[float], fallback: str
 ) -> None:
-    """Whatever latencies and plans: computations do not overlap, forces keep rate and amplitude."""
     log = run(scenario, Planned(latencies.__getitem__, plan=moves), fallback=fallback)
     began = np.array(asked(log))
     took = np.maximum(1, np.ceil(np.round(np.array(latencies) * SAMPLE_NS) / SAMPLE_NS))
@@ -171,7 +168,6 @@ def test_one_processor_and_no_limit_violated(
 
 @pytest.mark.slow
 def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
-    """With every answer in time, and with the slow-down off, the ship sails the same way."""
     scenario = load_scenario("thruster_loss_hard").first(450)
     plain = run_closed_loop(scenario, open_workspace("quadprog"))
     timed = {name for name in plain.steps if name.endswith("_ns")} | {"late"}
@@ -187,7 +183,6 @@ def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
 
 
 def test_the_records_of_a_loop_on_a_hopeless_computer() -> None:
-    """All steps are missed, one was computed; judged is only the answer there is."""
     scenario = load_scenario("paper").first(30)
     run = run_closed_loop(scenario, open_workspace("quadprog"), slowdown=SLOWEST)
     steps, summary = run.steps, run.summary
@@ -216,14 +211,12 @@ def test_the_exact_loop_costs_what_the_exact_solver_pays() -> None:
     [("slowdown", 0.5), ("slowdown", -1.0), ("slowdown", 2 * SLOWEST), ("deadline_s", 0.4)],
 )
 def test_a_pace_that_cannot_be_is_refused_in_one_line(key: str, value: float) -> None:
-    """Faster than this machine, a billion times slower, or a budget beyond the sample."""
     delay = {key: value}
     with pytest.raises(InputError, match=key):
         run_closed_loop(load_scenario("paper").first(3), open_workspace("quadprog"), **delay)
 
 
 def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
-    """A cell for each slow-down; one without any has the description it always had."""
     table = ClosedLoopTable(scenarios=["paper"], slowdowns=[0, 1, 100], deadline_s=0.1, steps=9)
     plain = ClosedLoopTable(scenarios=["paper"], steps=9)
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table, plain])
@@ -240,8 +233,6 @@ def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
 def test_the_slow_computer_is_out_of_the_way_of_ordinary_loops(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a slow-down none is made, so an ordinary loop pays nothing for it."""
-
     monkeypatch.setattr(SlowComputer, "__init__", None)
     assert not run_closed_loop(scenario, open_workspace("quadprog")).steps["late"].any()
 

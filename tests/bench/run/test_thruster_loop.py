@@ -76,7 +76,6 @@ def exact(case: Scenario) -> ExactLoop:
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    """Plan by quadprog on matrices made here, thrust by T_e, motion by the plant of the forces."""
     control, plain = case.problem, load_scenario("rough")
     assert case.controller.commanded is not None
     T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
@@ -129,7 +128,6 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
 def test_every_form_steers_as_the_exact_loop_does(
     case: Scenario, exact: ExactLoop, solver: str, formulation: Formulation
 ) -> None:
-    """Condensed, one-sided and sparse, by solvers of several kinds."""
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
@@ -153,7 +151,6 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
 
 @pytest.mark.parametrize("fallback", FALLBACKS)
 def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
-    """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
     tight = {"iter_limit": 1, "primal_tol": 1e-9}
     workspace = open_workspace("daqp", route="native", policy="warm", settings=tight)
@@ -186,7 +183,6 @@ LIMIT = scenario().controller.move_limit()
 def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
     share: list[float], moves: list[float], lost: set[int]
 ) -> None:
-    """Any move from any allowed force: rate, rows or the way back; and a good move is untouched."""
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
     limits = low, high, _ = ROWS.without(lost)
@@ -206,7 +202,6 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 
 
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
-    """A step of the command: exact first-order answer, its mean over each sample on the ship."""
     lag_s, sample_s = 2.0, 0.5
     thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])

@@ -69,7 +69,6 @@ STEP = QPStep(np.ones(1), -np.ones(1), np.ones(1))
 
 @pytest.mark.parametrize("catches", [True, False])
 def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
-    """Whether the adapter takes what is raised for a failure or lets it pass."""
     workspace = Spinning(catches=catches)
     solver = timed(workspace)
     solver.prepare()
@@ -83,7 +82,6 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
 
 
 def test_an_alarm_outside_of_a_step_is_none() -> None:
-    """The harness may take its time between two steps; behind the block no alarm goes off."""
     solver = timed(Spinning(catches=False))
     with interrupting(0.01, time.perf_counter_ns):
         until = time.monotonic() + 0.05
@@ -176,8 +174,6 @@ def goes_on(
     ("name", "backup"), [("paper", ""), ("waves", "paper_active_set"), ("thrusters_cascade", "")]
 )
 def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> None:
-    """It ends bit for bit where a loop whose solver failed in that step ends."""
-
     def leaving(inner: Workspace, fails: bool) -> Workspace:
         return Leaving(inner, 11, fails=fails)
 
@@ -189,7 +185,6 @@ def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> Non
 @pytest.mark.slow
 @pytest.mark.alone  # A step of any other solve that takes a sample would be late too.
 def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
-    """A late plan comes late again, and the step that hung keeps the processor as long."""
     limit_ns, at = round(1.1 * SAMPLE_S * 1e9), 11
 
     def leaving(inner: Workspace, fails: bool) -> Workspace:
@@ -205,7 +200,6 @@ def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
 def test_a_killed_loop_of_a_slow_computer_goes_on(
     backup: str, resumed: bool, tmp_path: Path
 ) -> None:
-    """With a backup it does not: how late that was would be measured anew."""
     files = load_scenario("paper").files
     cell = Cell(
         *("closed_loop", files, "daqp", "native", "reuse", "default", 9),
@@ -253,7 +247,6 @@ def test_a_shared_core_is_waited_for(one_core: None) -> None:
 
 
 def test_sleep_is_no_wait_for_the_core() -> None:
-    """A thread that sleeps is not ready to run, until it is woken."""
     delay = RunDelay()
     waits_ms = []
     for _ in range(5):
@@ -274,8 +267,6 @@ def test_a_thread_has_its_own() -> None:
 
 
 def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No file, or one without a second number."""
-
     def missing(path: str, flags: int) -> int:
         raise FileNotFoundError(path)
 

@@ -80,7 +80,6 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
 def test_a_loss_is_held_as_far_as_the_corners_reach(
     group: str, direction: tuple[float, float, float]
 ) -> None:
-    """A millionth before the edge there is an optimum that makes the force."""
     assert RATOWNIK is not None
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
@@ -93,7 +92,6 @@ def test_a_loss_is_held_as_far_as_the_corners_reach(
 
 
 def test_port_and_starboard_are_alike() -> None:
-    """The loss of the port azimuth under a force is that of the other under its mirror image."""
     port = Thruster("port", "azimuth", -30.0, -5.0, 1e5, 10.0)
     starboard = Thruster("starboard", "azimuth", -30.0, 5.0, 1e5, 10.0)
     ship = ThrusterSet((port, starboard, Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)))
@@ -144,7 +142,6 @@ def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
 
 
 def test_what_the_run_has_lost_stays_lost() -> None:
-    """From the fault on, no thruster of board A pushes in any QP; before, those of the group."""
     case = load_scenario("thrusters_loss")
     (fault,) = (k for k, _ in case.controller.changes)
     assert case.controller.commanded is not None
@@ -165,7 +162,6 @@ def test_what_the_run_has_lost_stays_lost() -> None:
 
 
 def test_a_cascade_has_an_analysis_too() -> None:
-    """Of the thrusters that its second QP commands."""
     case = load_scenario("thrusters_cascade")
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
@@ -183,7 +179,6 @@ def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
 
 
 def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
-    """Three sequences, one file; the harness's own configurations take no part."""
     suite = suite_of(first=100, steps=50)
     suite = suite.model_copy(update={"calibration": True})
     cells = [planned.cell for planned in plan(suite)]
@@ -200,7 +195,6 @@ def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
 
 
 def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
-    """A controller of forces, and QPs in N: both name the key."""
     with pytest.raises(InputError, match=r"consequence analysis of paper: controller\.kind"):
         plan(suite_of("paper"))
     with pytest.raises(InputError, match="units"):

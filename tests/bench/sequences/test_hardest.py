@@ -49,7 +49,6 @@ HARDNESS = [0, 1 + 1, 2 + 1, 3 + 2, 6, 1 + 1]
 
 
 def test_hardness_counts_active_limits_and_their_changes() -> None:
-    """A limit that changes its side has changed."""
     active = active_limits(TABLE)
     np.testing.assert_array_equal(active, ACTIVE)
     feasible = np.array([True, True, True, True, False, True])
@@ -57,7 +56,6 @@ def test_hardness_counts_active_limits_and_their_changes() -> None:
 
 
 def test_before_the_first_step_no_limit_is_active() -> None:
-    """A loop that begins at its limits begins hard."""
     active = np.array([[1, 1, -1], [1, 1, -1]])
     np.testing.assert_array_equal(hardness(active, np.array([True, True])), [6, 3])
 
@@ -79,12 +77,10 @@ def test_before_the_first_step_no_limit_is_active() -> None:
 def test_the_window_holds_the_hardest_step_and_most_hardness(
     hard: list[int], steps: int, first: int
 ) -> None:
-    """It stays within the stretch; of equals the earliest."""
     assert hardest_window(np.array(hard, dtype=float), steps) == first
 
 
 def test_the_window_is_chosen_within_its_stretch() -> None:
-    """Steps before the stretch count for changes only, steps behind it not at all."""
     assert first_of_hardest(TABLE, 0, 6, 2) == 3
     assert first_of_hardest(TABLE, 0, 4, 2) == 2
     assert first_of_hardest(TABLE, 5, 1, 1) == 5
@@ -104,7 +100,6 @@ def cell(**table: object) -> Cell:
 
 
 def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
-    """It shares the file of the loop, of which it needs the whole stretch."""
     window, whole = cell(steps=450, hardest=50), cell(steps=450)
     assert (window.mode, window.scenario_name, window.steps) == ("replay", "turn", 50)
     assert window.sequence == "turn hardest 50"
@@ -140,7 +135,6 @@ def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
 
 
 def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
-    """Bit for bit, with the same certified optima, whatever else of the loop is in the file."""
     whole, path, short = cell(), tmp_path / "whole.npz", tmp_path / "short.npz"
     source_file(whole).make(path)
     window = cell(steps=200, hardest=30)
@@ -214,7 +208,6 @@ def test_a_campaign_records_where_the_window_begins(tmp_path: Path) -> None:
 
 
 def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:
-    """A tenth of the stretch may take a tenth of its budgets."""
     suite = suite_of(steps=300, hardest=30).model_copy(
         update={"replay_budget_s": 0.6, "repeat_budget_s": 0.2}
     )

@@ -123,7 +123,6 @@ def test_its_command_runs_the_set_as_it_is(qpbenchmark: Any, tmp_path: Path) -> 
 
 
 def test_the_table_holds_the_problems(tmp_path: Path) -> None:
-    """Read by pandas alone, each row has the optimum of the file with the QPs for its optimum."""
     recorded = mixed()
     table, _ = save_qpbenchmark(tmp_path / "dp_set.parquet", recorded)
     frame = pd.read_parquet(table)
@@ -139,7 +138,6 @@ def test_the_table_holds_the_problems(tmp_path: Path) -> None:
 
 
 def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
-    """An infeasible step is no problem of a benchmark that knows solved and failed only."""
     recipe = RandomRecipe("infeasible_steps", 4, 6, 1, steps=6)
     sequence = random_sequence(recipe)
     table, _ = save_qpbenchmark(tmp_path / "some.py", Recorded(sequence, certified(sequence)))
@@ -150,7 +148,6 @@ def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["two words.py", "json.py", "numpy", "9lives.py", "dp.npz"])
 def test_a_name_that_cannot_be_imported_is_refused(name: str, tmp_path: Path) -> None:
-    """qpbenchmark imports the file by its stem."""
     with pytest.raises(InputError, match="--out"):
         save_qpbenchmark(tmp_path / name, mixed())
     assert not list(tmp_path.iterdir())

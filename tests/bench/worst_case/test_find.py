@@ -44,7 +44,6 @@ def no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_found_replays_to_the_same_figures(
     solver: str, route: Any, policy: Any, goal: Any, tmp_path: Path
 ) -> None:
-    """The saved step shows the same count and error in another process, and is the worst there."""
     path = tmp_path / "found.npz"
     found = find_worst_case(solver, goal=goal, route=route, policy=policy, budget=16, out=path)
     assert found.worst is not None and found.search.evaluations == 16
@@ -83,7 +82,6 @@ def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Pat
 
 
 def test_a_way_that_cannot_be_is_not_replayed() -> None:
-    """What a file says of its worst_case may be nonsense; it is replayed like any other then."""
     plain = sequence_suite("x.npz")
     assert sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
     for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
@@ -97,7 +95,6 @@ def test_a_way_that_cannot_be_is_not_replayed() -> None:
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
-    """What is found is a scenario like any other: its documents give its QPs, bit for bit."""
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
@@ -130,7 +127,6 @@ def backs_off(path: Path) -> bool:
 def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
     mode: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_plugins: None
 ) -> None:
-    """Those cases are counted, the first is kept beside the worst, and the budget is spent."""
     monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
     monkeypatch.setattr(case_search, "BASELINE_LIMIT_S", 0.3)
     monkeypatch.setattr(supervise, "GRACE_S", 0.3)
@@ -163,7 +159,6 @@ class _Interrupts:
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
-    """The worst of the cases before is saved, and the words say that it ended early."""
     path = tmp_path / "found.npz"
     found = find_worst_case("daqp", budget=50, steps=8, out=path, progress=_Interrupts(4))
     assert (found.search.evaluations, found.search.stopped) == (4, "interrupted")
@@ -205,7 +200,6 @@ SOLVED_THE_IMPOSSIBLE: Row = (Status.SOLVED, np.nan, False, 3, "infeasible")
 
 
 def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() -> None:
-    """The order of answers by error, from harmless to infinite; the worst of each pair wins."""
     order = (TRUE_INFEASIBLE, DECLINED_BUT_RIGHT, ACCURATE, POOR, NO_ANSWER, WRONG)
     for i, better in enumerate(order):
         for worse in order[i + 1 :]:
@@ -218,7 +212,6 @@ def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() 
 
 
 def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
-    """Its own figure may be larger than that of a lie, which is worse."""
     refused = worst_of(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
     lied = worst_of(judged(WRONG), "error")
     assert refused is not None and lied is not None and lied.objective > refused.objective
@@ -227,7 +220,6 @@ def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
 
 
 def test_iterations_are_counted_whatever_the_answer() -> None:
-    """The busiest step wins, refused or not; without any count there is no figure."""
     found = worst_of(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
     assert found is not None and (found.step, found.iterations) == (1, 900)
     busier = worst_of(judged(ACCURATE, WRONG, WRONG), "iterations")
@@ -241,7 +233,6 @@ def test_iterations_are_counted_whatever_the_answer() -> None:
 @given(point=st.lists(st.floats(-1.0, 1.0), min_size=13, max_size=13).map(np.array))
 @settings(max_examples=30, deadline=None)
 def test_a_case_is_what_its_point_says(point: Any) -> None:
-    """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
     scenario = SearchSpace(own, 20, "case").scenario(point)
     assert (scenario.steps, scenario.problem.N_p, scenario.name) == (20, own.problem.N_p, "case")
@@ -262,7 +253,6 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
 
 
 def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
-    """A thruster that is lost after two minutes is lost at the moment the last number says."""
     space = SearchSpace(load_scenario("thruster_loss"), 20, "case")
     assert space.dimensions == 14
     faults = [
@@ -273,7 +263,6 @@ def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
 
 
 def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
-    """The documents speak of full size."""
     model = load_scenario("calm@cybership2")
     point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
     scenario = SearchSpace(model, 20, "case").scenario(point)
@@ -313,7 +302,6 @@ def test_bad_input_is_one_line(
 def test_where_nothing_can_be_written_nothing_is_searched(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder in the file's place, a file in the folder's: said before the search, not after."""
     monkeypatch.setattr(case_search.Search, "run", None)
     (tmp_path / "a_folder.npz").mkdir()
     (tmp_path / "a_file").write_text("mine", encoding="utf-8")
@@ -327,7 +315,6 @@ def test_where_nothing_can_be_written_nothing_is_searched(
 def test_iterations_of_a_solver_that_counts_none_are_refused(
     tmp_path: Path, no_plugins: None
 ) -> None:
-    """A goal that has no figure is said at once, with the goal that has one."""
     with pytest.raises(InputError, match="--goal error"):
         find_worst_case(
             "searched", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY
@@ -337,7 +324,6 @@ def test_iterations_of_a_solver_that_counts_none_are_refused(
 def test_the_command_says_what_was_found_and_what_it_beats(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is said, however its lines break: the step found, its file, the scenario's own worst."""
     out = tmp_path / "deep" / "found.npz"
     arguments = ["worst-case", "daqp", "--route", "native", "--budget", "8", "--out", str(out)]
     assert main(arguments) == 0
