@@ -68,7 +68,7 @@ def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequen
     P is constant; rows change with the pieces that are chosen.
     """
     assert frontier.sides is not None, "a QP has polygons"
-    allocation = _allocation(frontier, {point.case for point in points}, frontier.sides)
+    allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
     problems = []
     for point in points:
         weather = frontier.weather(point.from_rad, point.wind_mps)
@@ -81,7 +81,7 @@ def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequen
     return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
 
 
-def _allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
+def _build_allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
     """Return the allocation with room for the pieces of every case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)

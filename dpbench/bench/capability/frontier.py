@@ -156,15 +156,15 @@ class Frontier:
         """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
-            holding = self._first_that_holds(case, from_rad, wind_mps, choices)
+            holding = self._first_holding_choice(case, from_rad, wind_mps, choices)
             if holding is None:
-                return Held(self._largest(case, from_rad, (low, wind_mps), choices), number)
+                return Held(self._largest_wind(case, from_rad, (low, wind_mps), choices), number)
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
         return Held(low, number)
 
-    def _first_that_holds(
+    def _first_holding_choice(
         self, case: Case, from_rad: float, wind_mps: float, choices: list[Combination]
     ) -> int | None:
         for i, chosen in enumerate(choices):
@@ -172,7 +172,7 @@ class Frontier:
                 return i
         return None
 
-    def _largest(
+    def _largest_wind(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
         """Return the wind at which the best choice reaches full thrust."""

@@ -43,7 +43,7 @@ class Capability:
     @property
     def numbers(self) -> tuple[int, int, int, int]:
         """Least numbers: intact near the bow, all round, and after the worst failure."""
-        return (*_least(self.held[INTACT]), *_least(self.worst_failure))
+        return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
 
     @property
     def notation(self) -> str:
@@ -51,7 +51,7 @@ class Capability:
         return f"DP capability-L1({', '.join(map(str, self.numbers))})"
 
 
-def _least(held: tuple[Held, ...]) -> tuple[int, int]:
+def _least_numbers(held: tuple[Held, ...]) -> tuple[int, int]:
     """Return the least number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number

@@ -38,7 +38,7 @@ direction of the weather; wind of the QP and whether it is held; largest wind he
 """
 
 
-def table_of(
+def capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
     """Return the columns of `COLUMNS`, as JSON has them, of one plot.

@@ -51,7 +51,7 @@ def calibrate() -> Calibration:
     collecting = gc.isenabled()
     gc.disable()
     try:
-        runs = {name: _replayed(name) for name in CALIBRATION}
+        runs = {name: _replay_configuration(name) for name in CALIBRATION}
     finally:
         os.sched_setaffinity(0, allowed)
         if collecting:
@@ -60,7 +60,7 @@ def calibrate() -> Calibration:
     return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
 
 
-def _made_up() -> QPSequence:
+def _unsolved_sequence() -> QPSequence:
     """Return QPs that no calibration configuration solves."""
     eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
     base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
@@ -68,9 +68,9 @@ def _made_up() -> QPSequence:
     return QPSequence("made up", base, many, many - 1, many + 1)
 
 
-def _replayed(name: str) -> tuple[float, Disturbance]:
+def _replay_configuration(name: str) -> tuple[float, Disturbance]:
     steps, timed_solver, log = replay_parts(
-        _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+        _unsolved_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock

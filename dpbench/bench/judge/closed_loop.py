@@ -22,7 +22,7 @@ from dpbench.bench.judge.control_metrics import (
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
-from dpbench.bench.run.assemble import as_run
+from dpbench.bench.run.assemble import with_cell_formulation
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
@@ -35,11 +35,11 @@ from dpbench.scenario.scenario import Scenario, scenario_once
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
-OF_SECOND = "allocation_"
+SECOND_QP_PREFIX = "allocation_"
 """Prefix of columns of a cascade's second QPs."""
-OF_BACKUP = "backup_"
+BACKUP_PREFIX = "backup_"
 """Prefix of columns of the backup."""
-Rebuilt = Callable[[int], tuple[QPStep, QPStep]]
+RebuildStep = Callable[[int], tuple[QPStep, QPStep]]
 """The QP of a step in scaled units and in those the solver was given."""
 EVALUATION = (
     "primal",
@@ -56,7 +56,7 @@ EVALUATION = (
     "true_1e4",
     "true_1e6",
 )
-AT_ONCE = 128
+BATCH_SIZE = 128
 """Most answers that are evaluated together: some megabytes where n is 500."""
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
@@ -124,7 +124,7 @@ class StepEvaluator:
     def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
         """Add an answer, in the solver's own units, to the QP of a step that was followed."""
         self._waiting.append((scaled, own, answer, optimum))
-        if len(self._waiting) >= AT_ONCE:
+        if len(self._waiting) >= BATCH_SIZE:
             self._evaluate()
 
     def evaluations(self) -> Matrix:
@@ -138,10 +138,10 @@ class StepEvaluator:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
         self._waiting = []
-        z, y, y_box = (_stacked(answers, part) for part in ("z", "y", "y_box"))
-        self._explain(own, z, y, y_box)
-        in_own = residuals_of_all(self._own, *_vectors(own), z, y, y_box)
-        q, l, u = _vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        z, y, y_box = (_stack_attribute(answers, part) for part in ("z", "y", "y_box"))
+        self._add_multipliers(own, z, y, y_box)
+        in_own = residuals_of_all(self._own, *_step_vectors(own), z, y, y_box)
+        q, l, u = _step_vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
@@ -156,29 +156,35 @@ class StepEvaluator:
                     level[i] = is_so
         of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
         errors = in_own.primal, in_own.dual, move, plan
-        self._evaluated.append(np.column_stack((*of_scaled, *errors, *_facts(optima), *levels)))
+        self._evaluated.append(
+            np.column_stack((*of_scaled, *errors, *_optimum_figures(optima), *levels))
+        )
 
-    def _explain(self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix) -> None:
+    def _add_multipliers(
+        self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
+    ) -> None:
         """Write the best multipliers to answers whose solver gave none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
             y[i], y_box[i] = best_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
-def _stacked(parts: Sequence[object], name: str) -> Matrix:
+def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
     """Return an attribute of each part as rows."""
     return np.array([getattr(part, name) for part in parts])
 
 
-def _vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
+def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
     """Return q (K, n), l (K, m) and u (K, m) of K steps."""
-    return _stacked(steps, "q"), _stacked(steps, "l"), _stacked(steps, "u")
+    return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
-def _facts(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
+def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
     """Return the bound of each optimum and its number of active limits, (K,) each."""
     bound = np.array([optimum.bound for optimum in optima])
-    multipliers = np.concatenate((_stacked(optima, "y"), _stacked(optima, "y_box")), axis=1)
+    multipliers = np.concatenate(
+        (_stack_attribute(optima, "y"), _stack_attribute(optima, "y_box")), axis=1
+    )
     return bound, (np.abs(multipliers) > ACTIVE_MULTIPLIER).sum(axis=1).astype(np.float64)
 
 
@@ -189,13 +195,13 @@ def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     """Return the columns and metrics of a closed loop."""
-    scenario = as_run(cell, scenario_once(cell.scenario).first(cell.steps))
+    scenario = with_cell_formulation(cell, scenario_once(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     # On a slow computer a step may pass without a computation: it has no answer to evaluate.
     asked = log.times[0, :done, _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
+    columns, matrix_steps = _evaluate_steps(log, *_controller_rebuild(scaled, own, log), asked)
     columns |= {
         "asked": asked,
         "t_s": columns["k"] * scenario.sample_s,
@@ -210,8 +216,8 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     if not done:
         return Evaluated(columns, {})
     thrust = log.thrust[:done]
-    columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
-    columns |= _backup(cell, scenario, log)
+    columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
+    columns |= _backup_columns(cell, scenario, log)
     applied = scenario.controller.applied(columns["tau"], thrust)
     metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
@@ -222,7 +228,9 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     return Evaluated(columns, metrics)
 
 
-def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvaluator, Rebuilt]:
+def _controller_rebuild(
+    scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> tuple[StepEvaluator, RebuildStep]:
     """Return an evaluator of a controller's QPs, and the QPs from the recorded θ."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
@@ -234,7 +242,9 @@ def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvalua
     return StepEvaluator(base, own_base, own.condensed.scale), rebuilt
 
 
-def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
+def _allocation_columns(
+    scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> Columns:
     """Return the undelivered share of a cascade's demand, and the columns of its second QPs."""
     if not scenario.controller.allocates:
         return {}
@@ -255,10 +265,10 @@ def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawL
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
-    return columns | {f"{OF_SECOND}{name}": column for name, column in evaluated.items()}
+    return columns | {f"{SECOND_QP_PREFIX}{name}": column for name, column in evaluated.items()}
 
 
-def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     """Return the columns of a backup: its answers, whether it acted, when it was ready."""
     answers = log.backup
     if answers is None:
@@ -268,14 +278,14 @@ def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     asked = answers.times[0, :done, _SOLVE] >= 0
-    evaluated, _ = _evaluate_steps(answers, *_rebuilt(scaled, own, log), asked)
+    evaluated, _ = _evaluate_steps(answers, *_controller_rebuild(scaled, own, log), asked)
     acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
     facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
-    return {f"{OF_BACKUP}{name}": column for name, column in facts.items()}
+    return {f"{BACKUP_PREFIX}{name}": column for name, column in facts.items()}
 
 
 def _evaluate_steps(
-    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: Flags
+    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
     """Return the columns of the `asked` steps (K,), and how many brought matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)

@@ -45,23 +45,23 @@ def control_metrics(
         "r_tail_max_m": float(radius[K // 2 :].max()),
         "heading_rms_deg": _rms(heading),
         "heading_max_deg": float(heading.max()),
-        "settle_s": _settling(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
-        "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
+        "settle_s": _settling_time(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
+        "settle_0p1m_s": _settling_time(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
-        "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _cost(scenario, exact.state[: K + 1], exact_u, reference),
+        "closed_loop_cost": _quadratic_cost(scenario, state[: K + 1], u, reference),
+        "exact_cost": _quadratic_cost(scenario, exact.state[: K + 1], exact_u, reference),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
-        | _of_axes(t, error, dt)
-        | _effort(scenario, state[:K, VELOCITY], tau)
-        | _deviation(state[:K], tau, exact)
+        | _axis_metrics(t, error, dt)
+        | _effort_metrics(scenario, state[:K, VELOCITY], tau)
+        | _deviation_metrics(state[:K], tau, exact)
     )
 
 
-def before_each(forces: Matrix) -> Matrix:
+def previous_forces(forces: Matrix) -> Matrix:
     """Return the force before each of K forces (K, n), zero before the first."""
     return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
@@ -77,7 +77,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
     }
 
 
-def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
     """Return the integrals of the error of each axis, and its overshoot."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
@@ -93,7 +93,7 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
+def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
     """Return the first time from which `inside` holds for hold_s (None: to the end), or inf."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
@@ -113,7 +113,7 @@ def _overshoot(error: Vector) -> float:
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
-def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
+def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
     """Return ½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
@@ -125,8 +125,8 @@ def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> fl
     return 0.5 * float(cost)
 
 
-def _effort(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
-    change = tau - before_each(tau)
+def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+    change = tau - previous_forces(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
@@ -136,7 +136,7 @@ def _effort(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
     }
 
 
-def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
     position = np.hypot(north, east)
@@ -161,14 +161,14 @@ def axis_limit_metrics(
     ----------
     tau : (K, 3) applied forces; limits : of at least K samples.
     """
-    du_max, before = scenario.problem.du_max, before_each(tau)
+    du_max, before = scenario.problem.du_max, previous_forces(tau)
     low, high = limit_tables(limits[: len(tau)])
     near = AT_LIMIT * du_max
     at_amplitude = (tau >= high - near) | (tau <= low + near)
     # What the rate leaves of a limit that has just dropped is no violation.
     above = tau > np.maximum(high, before - du_max)
     below = tau < np.minimum(low, before + du_max)
-    violated = (above | below).any(axis=1) | _too_fast(scenario, tau)
+    violated = (above | below).any(axis=1) | _exceeds_rate(scenario, tau)
     shares = {f"at_amplitude_{force}": at_amplitude[:, i] for i, force in enumerate(FORCES)}
     return (
         _rate_shares(scenario, tau)
@@ -184,7 +184,7 @@ def joint_limit_metrics(
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
     low, high = limit_tables(limits[: len(tau)])
-    along, before = tau @ problem.G.T, before_each(tau) @ problem.G.T
+    along, before = tau @ problem.G.T, previous_forces(tau) @ problem.G.T
     at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
     # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
     outside = ((along > high + near) | (along < low - near)).any(axis=1)
@@ -192,7 +192,7 @@ def joint_limit_metrics(
         np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
         for rows in (along, before)
     )
-    violated = (outside & (share > share_before + 1e-9)) | _too_fast(scenario, tau)
+    violated = (outside & (share > share_before + 1e-9)) | _exceeds_rate(scenario, tau)
     return _rate_shares(scenario, tau) | {
         "limit_violations": float(violated.sum()),
         "at_limit_thrusters": float(at_limit.mean()),
@@ -202,14 +202,14 @@ def joint_limit_metrics(
 def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
     """Return shares of steps at the rate limit of each axis."""
     du_max = scenario.problem.du_max
-    at_rate = np.abs(tau - before_each(tau)) >= du_max - AT_LIMIT * du_max
+    at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
     return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
 
 
-def _too_fast(scenario: Scenario, tau: Matrix) -> Flags:
+def _exceeds_rate(scenario: Scenario, tau: Matrix) -> Flags:
     """Return whether each force (K, 3) is beyond the rate limits: (K,)."""
     ship, du_max = scenario.vessel, scenario.problem.du_max
     # Beyond one unit in the last place of the force itself a difference is no rounding.
     rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    too_fast: Flags = (np.abs(tau - before_each(tau)) > du_max + rounding).any(axis=1)
+    too_fast: Flags = (np.abs(tau - previous_forces(tau)) > du_max + rounding).any(axis=1)
     return too_fast

@@ -8,15 +8,9 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Flags
-from dpbench.bench.judge import rules
+from dpbench.bench.judge import rules, timing
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.judge.timing import (
-    deadline_metrics,
-    longest_streak,
-    steps_to_recover,
-    timing_metrics,
-)
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.scenario.scenario import scenario_once
@@ -64,7 +58,7 @@ def run_row(
         "settings": cell.settings,
         "formulation": cell.formulation,
         "form": outcome.form,
-        **_sizes(cell, outcome),
+        **_size_columns(cell, outcome),
         "units": cell.units,
         "slowdown": cell.slowdown,
         "deadline_s": _deadline_s(cell),
@@ -87,11 +81,17 @@ def run_row(
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
     judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)
-    row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
+    row |= evaluated.metrics | timing.timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(judged) | _worst_of_all(rules.steps_with_answers(steps, cell.slowdown))
+        row |= _accuracy_columns(judged) | _worst_error_columns(
+            rules.steps_with_answers(steps, cell.slowdown)
+        )
     if cell.mode == "closed_loop":
-        row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
+        row |= (
+            _fallback_columns(steps)
+            | _backup_columns(steps)
+            | timing.deadline_metrics(steps, cell.slowdown)
+        )
     return row
 
 
@@ -102,7 +102,7 @@ def _deadline_s(cell: Cell) -> float:
     return cell.deadline_s or scenario_once(cell.scenario).sample_s
 
 
-def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
+def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     """Return horizons and size of the QP; null where there are none."""
     scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
@@ -115,7 +115,7 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
-def _accuracy(steps: StepColumns) -> dict[str, Any]:
+def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
     known, undecided = rules.decided(steps), steps["certificate"] == rules.UNDECIDED
     charged = rules.select_rows(steps, ~undecided)
     moves = rules.errors(charged)
@@ -123,10 +123,10 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
     iterations = steps["iterations"][steps["iterations"] > ABSENT]
     bounds = steps["optimum_bound"]
     return {
-        "claimed_share": _mean(steps["claimed"]),
-        "true_share": _mean(steps["true"][known]),
-        "true_1e4_share": _mean(steps["true_1e4"][known]),
-        "true_1e6_share": _mean(steps["true_1e6"][known]),
+        "claimed_share": _true_share(steps["claimed"]),
+        "true_share": _true_share(steps["true"][known]),
+        "true_1e4_share": _true_share(steps["true_1e4"][known]),
+        "true_1e6_share": _true_share(steps["true_1e6"][known]),
         "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
         "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
@@ -141,7 +141,7 @@ def _accuracy(steps: StepColumns) -> dict[str, Any]:
     }
 
 
-def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
+def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
     """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
     charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
@@ -151,11 +151,11 @@ def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
     }
 
 
-def _mean(flags: Flags) -> float:
+def _true_share(flags: Flags) -> float:
     return float(flags.mean()) if len(flags) else float("nan")
 
 
-def _backup(steps: StepColumns) -> dict[str, Any]:
+def _backup_columns(steps: StepColumns) -> dict[str, Any]:
     """Return the columns on a backup; none without one."""
     if "backup" not in steps:
         return {}
@@ -171,12 +171,12 @@ def _backup(steps: StepColumns) -> dict[str, Any]:
     }
 
 
-def _failures(steps: StepColumns) -> dict[str, Any]:
+def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
     failed = steps["fallback"]
-    recovered = steps_to_recover(failed, steps["true"])
+    recovered = timing.steps_to_recover(failed, steps["true"])
     return {
         "fallbacks": int(failed.sum()),
-        "fallback_longest": longest_streak(failed),
+        "fallback_longest": timing.longest_streak(failed),
         "recover_steps_max": pd.NA if recovered is None else recovered,
         "unconverged": int(steps["unconverged"].sum()),
         "clipped": int(steps["clipped"].sum()),

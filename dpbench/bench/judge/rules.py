@@ -118,24 +118,24 @@ def percentile(values: Floats, percent: float) -> float:
 
 def median(values: Floats | Sequence[float]) -> float:
     """Return the median of the values that are not NaN; NaN where none is."""
-    known = _known(values)
+    known = _without_nan(values)
     return float(np.median(known)) if len(known) else float(np.nan)
 
 
 def largest(values: Floats | Sequence[float]) -> float:
     """Return the largest of the values that are not NaN; NaN where none is."""
-    known = _known(values)
+    known = _without_nan(values)
     return float(known.max()) if len(known) else float(np.nan)
 
 
-def _known(values: Floats | Sequence[float]) -> Floats:
+def _without_nan(values: Floats | Sequence[float]) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     return array[~np.isnan(array)]
 
 
 def decided(steps: Steps) -> Flags:
     """Return the steps (N,) whose right answer is known: an optimum, or that there is none."""
-    return ~_among(steps, "certificate", (UNCERTIFIED, UNDECIDED))
+    return ~_column_is_in(steps, "certificate", (UNCERTIFIED, UNDECIDED))
 
 
 def failed_steps(steps: Steps) -> Flags:
@@ -144,9 +144,9 @@ def failed_steps(steps: Steps) -> Flags:
     A QP without a feasible point has no answer; an iterate that is given all the same fails. A step
     that is undecided at rounding never does.
     """
-    infeasible = _among(steps, "certificate", (INFEASIBLE,))
-    failed = (_flags(steps, "fallback") & ~infeasible) | _flags(steps, "unconverged")
-    return failed & ~_among(steps, "certificate", (UNDECIDED,))
+    infeasible = _column_is_in(steps, "certificate", (INFEASIBLE,))
+    failed = (_flag_column(steps, "fallback") & ~infeasible) | _flag_column(steps, "unconverged")
+    return failed & ~_column_is_in(steps, "certificate", (UNDECIDED,))
 
 
 def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
@@ -157,7 +157,7 @@ def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
     if slowdown == 0.0:
         return steps
     answered = select_rows(steps, steps["total_ns"] > ABSENT)
-    return answered | {"fallback": unusable(answered)}
+    return answered | {"fallback": unusable_steps(answered)}
 
 
 def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
@@ -167,24 +167,26 @@ def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
 
 def claimed_not_true(steps: Steps) -> Flags:
     """Return the steps (N,) claimed solved that are not, where the answer is known."""
-    return _flags(steps, "claimed") & ~_flags(steps, "true") & decided(steps)
+    return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided(steps)
 
 
 def true_not_claimed(steps: Steps) -> Flags:
     """Return the steps (N,) with a true optimum that the solver did not claim."""
-    said_none = _among(steps, "status", NO_ANSWER_CLAIMS)
-    return _flags(steps, "true") & ~_flags(steps, "claimed") & ~said_none & decided(steps)
+    said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
+    return (
+        _flag_column(steps, "true") & ~_flag_column(steps, "claimed") & ~said_none & decided(steps)
+    )
 
 
-def unusable(steps: Steps) -> Flags:
+def unusable_steps(steps: Steps) -> Flags:
     """Return the steps (N,) whose answer no loop can apply: by its status, or not finite."""
     infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
-    return _among(steps, "status", _NO_USE) | np.asarray(infinite)
+    return _column_is_in(steps, "status", _NO_USE) | np.asarray(infinite)
 
 
-def unfinished(steps: Steps) -> Flags:
+def unfinished_steps(steps: Steps) -> Flags:
     """Return the steps (N,) whose answer, if usable at all, is an unfinished iterate."""
-    return _among(steps, "status", _UNFINISHED)
+    return _column_is_in(steps, "status", _UNFINISHED)
 
 
 def errors(steps: Steps) -> Floats:
@@ -199,11 +201,11 @@ def errors(steps: Steps) -> Floats:
     return larger
 
 
-def _flags(steps: Steps, name: str) -> Flags:
+def _flag_column(steps: Steps, name: str) -> Flags:
     return np.asarray(steps[name], dtype=np.bool_)
 
 
-def _among(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
+def _column_is_in(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
     """Return where (N,) a column of words has one of `values`."""
     column = steps[name]
     if isinstance(column, pd.Series):

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import (
+    BACKUP_PREFIX,
     CERTIFICATES,
     EVALUATION,
-    OF_BACKUP,
-    OF_SECOND,
+    SECOND_QP_PREFIX,
     Columns,
     Evaluated,
 )
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.judge.timing import disturbed_rounds_of, late_columns
+from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
 from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
@@ -31,7 +31,7 @@ from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import scenario_once
 
-INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
+SOLVER_PHASES = tuple(f"{phase}_ns" for phase in OF_SOLVER)
 """Columns of the phases of a solver."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
@@ -44,24 +44,27 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _answer_columns(columns, asked)
-    second = _select_prefix(columns, OF_SECOND)
+    second = _select_prefix(columns, SECOND_QP_PREFIX)
     if second:
-        steps = joined(steps, _answer_columns(second, None))
-    steps |= {"total_ns": total_of(steps), "t_s": columns["t_s"]}
+        steps = join_cascade_steps(steps, _answer_columns(second, None))
+    steps |= {"total_ns": step_time_ns(steps), "t_s": columns["t_s"]}
     if cell.mode == "replay":
-        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
+        disturbed = np.isin(columns["repeat"], find_disturbed_rounds(columns))
         steps["warmup"], steps["disturbed"] = steps["repeat"] == rules.WARM_UP, disturbed
         steps["counts"] = rules.counting_rows(columns["repeat"], disturbed)
-        return steps | {"unconverged": rules.unfinished(steps), "fallback": rules.unusable(steps)}
+        return steps | {
+            "unconverged": rules.unfinished_steps(steps),
+            "fallback": rules.unusable_steps(steps),
+        }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
     delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
     steps |= _backup_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:
         waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
-    steps |= late_columns(delay, columns["latency_ns"], waited_ns)
+    steps |= deadline_columns(delay, columns["latency_ns"], waited_ns)
     if "backup" in steps and delay.simulated:
-        ready_ns = columns[f"{OF_BACKUP}ready_ns"]
+        ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns
     return steps | _ship_columns(columns)
@@ -75,14 +78,14 @@ def _select_prefix(columns: Columns, prefix: str) -> Columns:
 
 def _backup_columns(columns: Columns) -> StepColumns:
     """Return the columns of a backup in each step; none without one."""
-    own = _select_prefix(columns, OF_BACKUP)
+    own = _select_prefix(columns, BACKUP_PREFIX)
     if not own:
         return {}
     answers = _answer_columns(own, own["asked"])
     return {
         "backup": own["acted"],
-        "backup_failed": own["asked"] & rules.unusable(answers),
-        "backup_ns": total_of({phase: answers[phase] for phase in INSIDE}),
+        "backup_failed": own["asked"] & rules.unusable_steps(answers),
+        "backup_ns": step_time_ns({phase: answers[phase] for phase in SOLVER_PHASES}),
         "backup_error": answers["error_move"],
     }
 
@@ -100,8 +103,10 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
         "claimed": columns["status"] == Status.SOLVED,
         "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
     }
-    steps |= {f"{phase}_ns": _whole(times[:, i]) for i, phase in enumerate(TIMES)}
-    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")}
+    steps |= {f"{phase}_ns": _as_integers(times[:, i]) for i, phase in enumerate(TIMES)}
+    steps |= {
+        name: _as_integers(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")
+    }
     for i, figure in enumerate(EVALUATION):
         values = columns["evaluations"][:, i]
         steps[figure] = values == 1.0 if figure.startswith("true") else values
@@ -109,7 +114,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
     return steps
 
 
-def joined(first: StepColumns, second: StepColumns) -> StepColumns:
+def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
     """Join the columns of the two QPs of a cascade's steps, K rows each.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
@@ -129,12 +134,12 @@ def joined(first: StepColumns, second: StepColumns) -> StepColumns:
         both["certificate"] = np.where(either, unknown, both["certificate"])
     waited = first["waited_ns"], second["waited_ns"]
     both["waited_ns"] = np.where(np.minimum(*waited) > ABSENT, sum(waited), ABSENT)
-    both["allocation_ns"] = total_of({phase: second[phase] for phase in INSIDE})
+    both["allocation_ns"] = step_time_ns({phase: second[phase] for phase in SOLVER_PHASES})
     both["allocation_error"] = second["error_move"]
     return both
 
 
-def _whole(values: NDArray[Any]) -> Ints:
+def _as_integers(values: NDArray[Any]) -> Ints:
     return np.maximum(values.astype(np.int64), ABSENT)
 
 
@@ -144,14 +149,14 @@ def _ship_columns(columns: Columns) -> StepColumns:
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
     for i, axis in enumerate(AXIS_FORCES):
         ship[f"tau_{axis}"] = tau[:, i]
-        ship[f"dtau_{axis}"] = change_of(tau[:, i], columns["k"])
+        ship[f"dtau_{axis}"] = row_changes(tau[:, i], columns["k"])
         ship[f"cmd_{axis}"] = columns["command"][:, i]
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
 
 
-def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
+def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
     """Return the time (N,) of each step: its phases and a second QP; `ABSENT` without any phase."""
-    phases = [steps[phase] for phase in INSIDE]
+    phases = [steps[phase] for phase in SOLVER_PHASES]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)
     for part in parts:
@@ -160,7 +165,7 @@ def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
     return total
 
 
-def change_of(values: Floats, k: NDArray[Any]) -> Floats:
+def row_changes(values: Floats, k: NDArray[Any]) -> Floats:
     """Return the change (N,) against the row before; against zero at k = 0."""
     before = np.roll(values, 1)
     before[k == 0] = 0.0

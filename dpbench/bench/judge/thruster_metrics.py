@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.bench.judge.control_metrics import AT_LIMIT, before_each
+from dpbench.bench.judge.control_metrics import AT_LIMIT, previous_forces
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import limit_tables
@@ -42,13 +42,13 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
-    before = before_each(f)
+    before = previous_forces(f)
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
-    turned_deg, reversals = _directions(control, f, before)
+    turned_deg, reversals = _azimuth_travel(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _at_limits(control, step_max, f, before, limits)
+    at_limit, violated = _limit_figures(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -61,7 +61,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     }
 
 
-def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
+def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
     """Return how far azimuths turned while pushing [°], and how often others reversed."""
     turned, reversals = 0.0, 0
     parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
@@ -78,7 +78,7 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
     return float(np.degrees(turned)), float(reversals)
 
 
-def _at_limits(
+def _limit_figures(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
     """Return the share of steps with a thruster at its limit, and the steps with one beyond it.

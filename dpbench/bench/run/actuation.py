@@ -90,11 +90,11 @@ class Allocator(Actuation):
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False
         if self._solver is None:
-            move = self._by_pseudo_inverse(k, demand)
+            move = self._pseudo_inverse_move(k, demand)
         else:
-            answer, unfinished, spent_ns = self._solved(k, demand, self._solver)
+            answer, unfinished, spent_ns = self._solve_allocation(k, demand, self._solver)
             missing = answer is None
-            move = self._by_pseudo_inverse(k, demand) if answer is None else answer
+            move = self._pseudo_inverse_move(k, demand) if answer is None else answer
         clipped = self._limit(f, move, self._builder.thruster_limits[k], log.thrust[k])
         f[...] = log.thrust[k]
         log.flags[k] |= np.array((missing, unfinished, clipped), dtype=np.uint8)
@@ -102,7 +102,7 @@ class Allocator(Actuation):
         log.tau[k] = self.tau
         return spent_ns
 
-    def _solved(
+    def _solve_allocation(
         self, k: int, demand: Vector, solver: TimedSolver
     ) -> tuple[Vector | None, bool, int]:
         """Return Δf (n_f,), None if unusable; whether it is unfinished; its time [ns]."""
@@ -121,14 +121,14 @@ class Allocator(Actuation):
         solver.reset()
         return None, False, spent_ns
 
-    def _by_pseudo_inverse(self, k: int, demand: Vector) -> Vector:
+    def _pseudo_inverse_move(self, k: int, demand: Vector) -> Vector:
         """Return Δf (n_f,) to the forces of the pseudo-inverse, without limits."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move
 
 
-def actuate(
+def build_actuation(
     controller: Controller,
     builder: QPBuilder,
     log: RawLog,

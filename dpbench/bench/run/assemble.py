@@ -11,7 +11,7 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, QPBuilder, in_loop, in_replay
+from dpbench.bench.run.formulation import Box, QPBuilder, in_replay, loop_formulation
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
@@ -47,7 +47,7 @@ def closed_loop_setup(
     InputError : "sparse" for a scenario without stages, an impossible slow-down or deadline, or a
         backup or second workspace of a cascade that cannot be opened.
     """
-    scenario = as_run(cell, scenario)
+    scenario = with_cell_formulation(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
     if delay.simulated and why:
@@ -55,10 +55,10 @@ def closed_loop_setup(
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
     log = new_log(layout)
-    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
+    formulated = loop_formulation(cell.formulation, builder, base_problem(builder.condensed))
     last = hung[-1] if hung else None
     twice = [k for k in hung if hung.count(k) > 1]
-    solver = _timed(workspace, formulated, log, last, limit_ns)
+    solver = _build_solver(workspace, formulated, log, last, limit_ns)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
@@ -72,7 +72,7 @@ def closed_loop_setup(
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
         second = Box(builder.allocation.base())
-        setup.allocating = _timed(
+        setup.allocating = _build_solver(
             workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
         )
         # What a library says of a failure counts whichever of the two QPs it failed on.
@@ -80,7 +80,7 @@ def closed_loop_setup(
     return setup
 
 
-def _timed(
+def _build_solver(
     workspace: Workspace,
     formulated: Box,
     answers: AnswerLog,
@@ -108,7 +108,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
     return workspace
 
 
-def as_run(cell: Cell, scenario: Scenario) -> Scenario:
+def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
     """Return the scenario of a cell, with the baseline law in all of its QPs or in none."""
     if cell.formulation != "none":
         return scenario

@@ -15,7 +15,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.actuation import actuate
+from dpbench.bench.run.actuation import build_actuation
 from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
@@ -30,7 +30,7 @@ from dpbench.ship.measurement import Sensors
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 Emit = Callable[[int, Vector, Vector], QPStep]
-Both = LoopWithBackup | SlowComputer
+SolverReplacement = LoopWithBackup | SlowComputer
 
 
 @dataclass(slots=True, eq=False)
@@ -61,11 +61,11 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     """Run a scenario and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
-    plant = _plant(scenario)
+    plant = _build_plant(scenario)
     weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    solver, law, emit = _steering(setup)
+    solver, law, emit = _controller_parts(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
     model = builder.condensed.control.model
@@ -74,7 +74,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
     limit, limits = scenario.controller.move_limit(), builder.limits
-    actuation = actuate(scenario.controller, builder, log, setup.allocating, clock, u)
+    actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
     act = actuation.act
     actuation.prepare()
@@ -119,7 +119,9 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _steering(setup: ClosedLoopSetup) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
+def _controller_parts(
+    setup: ClosedLoopSetup,
+) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
     """Return the objects that answer, act without an answer, and emit; they may be one."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
@@ -138,7 +140,7 @@ def _steering(setup: ClosedLoopSetup) -> tuple[TimedSolver | Both, FallbackPolic
     return both, both, both.emit
 
 
-def _plant(scenario: Scenario) -> Plant:
+def _build_plant(scenario: Scenario) -> Plant:
     """Return the true ship in its start, in this weather, with these actuators."""
     return Plant(
         scenario.true_ship,

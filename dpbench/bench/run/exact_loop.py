@@ -93,10 +93,12 @@ class ExactWorkspace(Workspace):
 class ExactLoop:
     """The exactly solved loop of a scenario.
 
+    Attributes
+    ----------
     theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
-    optima : the certified optimum of each step in scaled units. demand (K, 3), allocated : of a
-    cascade, the demanded force and the optima of its second QPs. drawn : what all runs in the same
-    weather share, see `Environment.drawn`.
+    optima : certified, of each step in scaled units.
+    demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
+    drawn : what all runs in the same weather share, see `Environment.drawn`.
     """
 
     theta: Matrix
@@ -112,11 +114,11 @@ class ExactLoop:
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
-        arrays |= _arrays_of(self.optima, "optimum")
+        arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
             arrays["demand"] = self.demand
         if self.allocated:
-            arrays |= _arrays_of(self.allocated, ALLOCATED)
+            arrays |= _optima_to_arrays(self.allocated, ALLOCATED)
         arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
         keep(path, arrays)
 
@@ -128,7 +130,7 @@ class ExactLoop:
             demand, drawn = stored.get("demand"), drawn_of(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
-                _optima_of(stored, name) if name in names and f"{name}_z" in stored else []
+                _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
                 for name in ("optimum", ALLOCATED)
             )
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
@@ -149,7 +151,7 @@ def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | No
     return stored[f"{ALLOCATED}_z"].shape[1], stored[f"{ALLOCATED}_y"].shape[1]
 
 
-def _arrays_of(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
+def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
     """Return the fields of optima as arrays, with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
@@ -157,7 +159,7 @@ def _arrays_of(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
     }
 
 
-def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
+def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
     """Return the optima of such arrays."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
@@ -223,7 +225,7 @@ def sequence_of(
         raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
-        emitted, base, scale = _allocations(scenario, exact, builder, steps)
+        emitted, base, scale = _allocation_steps(scenario, exact, builder, steps)
     else:
         emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
         base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
@@ -238,9 +240,9 @@ def sequence_of(
     return QPSequence(
         name=name,
         base=base,
-        P=_stack([step.P for step in emitted]),
-        A=_stack([step.A for step in emitted]),
-        **_vectors(emitted),
+        P=_stack_matrices([step.P for step in emitted]),
+        A=_stack_matrices([step.A for step in emitted]),
+        **_step_vectors(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -248,7 +250,7 @@ def sequence_of(
     )
 
 
-def _allocations(
+def _allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram, Units]:
     """Return the second QPs of a cascade, the problem of the first, and its units."""
@@ -268,15 +270,15 @@ def _sparse_equivalent(
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(name, staged.problem(steps[0]), **_vectors(steps))
+    sequence = QPSequence(name, staged.problem(steps[0]), **_step_vectors(steps))
     return SparseEquivalent(sequence, staged.condensed)
 
 
-def _vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+def _step_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
-def _stack(matrices: list[Matrix | None]) -> Floats | None:
+def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
     """Return the matrices of all steps, None where the steps bring none."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None

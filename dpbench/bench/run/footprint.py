@@ -37,7 +37,7 @@ _MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.lim
 """Files with a container's own limit, for both versions of control groups."""
 
 
-def _status(key: str, process: int | str = "self") -> float:
+def _read_status(key: str, process: int | str = "self") -> float:
     """Return a number of /proc/<process>/status (proc(5)), kB as bytes; NaN where there is none."""
     with suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace")
@@ -57,7 +57,7 @@ def forget_peak() -> None:
 
 def peak_bytes_of(process: int | str = "self") -> float:
     """Return the peak resident memory of a process [B]; NaN where it is gone."""
-    return _status("VmHWM", process)
+    return _read_status("VmHWM", process)
 
 
 @cache
@@ -76,7 +76,7 @@ def limit_memory(size: int) -> None:
     Each process that it starts has the same limit for itself. Files and reserved address space do
     not count, of which libraries map far more than they use, so RLIMIT_AS would refuse them.
     """
-    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _status("VmData")
+    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _read_status("VmData")
     most = size + (0 if isnan(size_now) else int(size_now))
     if hard != resource.RLIM_INFINITY:
         most = min(most, hard)
@@ -98,37 +98,37 @@ class MemoryWatch:
 
     def __init__(self) -> None:
         forget_peak()
-        self._at_birth = _status("VmRSS")
+        self._at_birth = _read_status("VmRSS")
         self._peak_of_import = self._imported = self._harness = float("nan")
         self._left = 0.0
 
     def begin_again(self) -> None:
         """Begin another replay in the same process, without memory left by others."""
         forget_peak()
-        self._left = _status("VmRSS") - self._imported
+        self._left = _read_status("VmRSS") - self._imported
 
     def opened(self) -> None:
         """Mark that the library is loaded; what follows until `loaded` is the harness's."""
         if isnan(self._imported):
-            self._peak_of_import = _status("VmHWM") - self._at_birth
-            self._imported = _status("VmRSS")
-        self._harness = -_status("VmRSS")
+            self._peak_of_import = _read_status("VmHWM") - self._at_birth
+            self._imported = _read_status("VmRSS")
+        self._harness = -_read_status("VmRSS")
 
     def loaded(self, log: RawLog) -> None:
         """Mark that QPs and log are in memory; touch the pages of the log."""
         log.touch()
-        self._harness += _status("VmRSS")
+        self._harness += _read_status("VmRSS")
 
     def peak_bytes(self) -> float:
         """Return the solver's peak until now [B]."""
-        since = _status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
+        since = _read_status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
         return max(self._peak_of_import, since)
 
 
 def threads() -> tuple[float, float]:
     """Return the threads of this process, and the most that a loaded BLAS or OpenMP would use."""
     pools = [int(pool["num_threads"]) for pool in threadpool_info()]
-    return _status("Threads"), float(max(pools, default=1))
+    return _read_status("Threads"), float(max(pools, default=1))
 
 
 class _HeapInfo(ctypes.Structure):

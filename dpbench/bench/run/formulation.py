@@ -144,10 +144,10 @@ class Sparse(Box):
         return self._condensed(answer)
 
 
-def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Box:
+def loop_formulation(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Box:
     """Return the formulation of a closed loop; `base` is a condensed problem of the builder."""
     if builder.staged is None:
-        return _of_condensed(formulation, base)
+        return _condensed_formulation(formulation, base)
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
@@ -157,12 +157,12 @@ def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
 def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Box]:
     """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
-        return sequence, _of_condensed(formulation, sequence.base)
+        return sequence, _condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
     sparse = sequence.sparse_equivalent()
     return sparse.sequence, Sparse(sparse.sequence.base, sparse.condensed)
 
 
-def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Box:
+def _condensed_formulation(formulation: Formulation, base: QuadraticProgram) -> Box:
     return Stacked(base) if formulation == "condensed_stacked" else Box(base)

@@ -39,7 +39,7 @@ _LOAD_VECTOR = np.linspace(0.0, 1.0, _LOAD_SIZE)
 _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
-def _next(value: int) -> int:
+def _increment(value: int) -> int:
     return value + 1
 
 
@@ -53,7 +53,7 @@ def _load_kernel() -> None:
     """
     value = 0
     for _ in range(100):
-        value = _next(value)
+        value = _increment(value)
     for _ in range(10):
         np.dot(_LOAD_MATRIX, _LOAD_VECTOR, out=_LOAD_RESULT)
         np.maximum(_LOAD_RESULT, _LOAD_VECTOR, out=_LOAD_RESULT)

@@ -1,27 +1,16 @@
 """A slow computer, and answers that come late (method.md section 3); time is simulated.
 
-An answer computed from the state at t_k has the latency L = slow-down × measured step time
-(set-up + update + solve + read). Where the kernel meanwhile gave the processor to others, which is
-this machine's doing and would be slowed down with it, the processor time stands for it. Within the
-budget the answer is applied at t_k itself, over [t_k, t_{k+1}): the convention of the ordinary
-loop, in which every answer is. Beyond the budget its deadline is missed, and it arrives at the
-first sample instant at or after t_k + L, that is at step k + ⌈L / T_s⌉ and never before k + 1.
-Until then the fallback steers, and no other computation begins: there is one processor. A step
-without an answer in time is a miss, whether its own computation was late or none could begin.
+An answer computed from the state at t_k has the latency L = slow-down × measured step time (set-up
++ update + solve + read), or × processor time where the kernel meanwhile gave the processor to
+others. Within the budget it is applied at t_k itself; beyond it at step k + ⌈L / T_s⌉, never before
+k + 1. Until then the fallback steers and, on one processor, no other computation begins.
 
-A plan that arrives i samples late is entered at the force it has after its move number i + 1, as a
-planned input trajectory is in delayed predictive control (Findeisen & Allgöwer 2004, "Computational
-delay in nonlinear model predictive control"): its moves before were planned from a force that other
-moves have meanwhile changed, so that move alone would not lead to the force it was planned for.
-After N_c moves the planned force stays. If the answer to the QP of that very step is in time too,
-it supersedes the late one.
+A plan that arrives i samples late is entered at the force it has after its move number i + 1, as in
+delayed predictive control (Findeisen & Allgöwer 2004, "Computational delay in nonlinear model
+predictive control"); after N_c moves the planned force stays. An answer to the QP of that very step
+supersedes it.
 
-With a backup (`backup.py`) nothing is computed beyond the sample. The backup begins when the first
-solver fails, or at the deadline, at which the first is stopped and its answer is lost. An answer of
-the backup that is there by the deadline is applied at t_k; one that is there by the end of the
-sample arrives at k + 1, as a late plan does; a later one is stopped too, and the fallback acts. A
-deadline that is the whole sample leaves a late solver's backup no time: then it steps in for
-failures alone, and a late answer arrives as it does without a backup.
+With a backup nothing is computed beyond the sample; docs/method.md states when it begins.
 """
 
 from __future__ import annotations
@@ -178,7 +167,7 @@ class SlowComputer:
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
-        solution, latency_ns = self._timed(self._solver, step)
+        solution, latency_ns = self._time_answer(self._solver, step)
         self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
@@ -189,10 +178,10 @@ class SlowComputer:
             begins_ns = min(latency_ns, self._delay.budget_ns)
             missing = self._late or not is_usable(solution)
             if missing and begins_ns < self._delay.sample_ns:
-                self._step_in(self._backup, step, begins_ns)
+                self._solve_by_backup(self._backup, step, begins_ns)
         return solution
 
-    def _timed(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
+    def _time_answer(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
         """Return a solver's answer and its latency [ns]."""
         switches, used_ns = self._usage()
         solution = solver.answer(step)
@@ -206,9 +195,9 @@ class SlowComputer:
             step_ns = min(step_ns, used_after_ns - used_ns)
         return solution, self._delay.latency_ns(step_ns)
 
-    def _step_in(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
+    def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
         """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
-        answer, latency_ns = self._timed(backup.solver, step)
+        answer, latency_ns = self._time_answer(backup.solver, step)
         plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
@@ -217,9 +206,9 @@ class SlowComputer:
         if ready_ns <= self._delay.budget_ns:
             self._in_place = plan
         else:
-            self._expect(plan, of_backup=True)
+            self._store_late_plan(plan, of_backup=True)
 
-    def _expect(self, moves: Matrix, *, of_backup: bool) -> None:
+    def _store_late_plan(self, moves: Matrix, *, of_backup: bool) -> None:
         """Store a plan (N_c, n_u) that arrives when the processor is free."""
         self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
@@ -227,10 +216,10 @@ class SlowComputer:
         """Take the usable plan (N_c, n_u) of this step; return Δu (n_u,)."""
         if self._stopped:
             self._solver.reset()
-            return self._go_on()
+            return self._move_without_answer()
         if self._late:
-            self._expect(moves, of_backup=False)
-            return self._go_on()
+            self._store_late_plan(moves, of_backup=False)
+            return self._move_without_answer()
         self._plan, self.acted = None, False
         return self._law.remember(moves)
 
@@ -238,12 +227,12 @@ class SlowComputer:
         """Return Δu (n_u,) in a step without a usable answer of its own."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
         if self._busy or self._in_place is None:
-            return self._go_on()
+            return self._move_without_answer()
         self._plan = None
-        self._backup_acts()
+        self._mark_backup()
         return self._law.remember(self._in_place)
 
-    def _backup_acts(self) -> None:
+    def _mark_backup(self) -> None:
         """Mark the move of this step as one of the backup."""
         assert self._backup is not None, "a plan of its is at hand"
         self.acted = True
@@ -254,11 +243,11 @@ class SlowComputer:
         if not self._busy:
             self._solver.reset()
 
-    def _go_on(self) -> Vector:
+    def _move_without_answer(self) -> Vector:
         """Return Δu (n_u,) of the plan that arrives now, or of the fallback."""
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
-            self._backup_acts()
+            self._mark_backup()
         if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u

@@ -96,7 +96,7 @@ class TimedSolver:
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
-        qp = self._unwritten().at(step) if setup_every_step else self._given
+        qp = self._restore_problem().at(step) if setup_every_step else self._given
         try:
             t0 = clock()
             if setup_every_step:
@@ -129,10 +129,10 @@ class TimedSolver:
         if self.interrupted:
             solution = Solution.missing(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
-            self._count(solution.detail)
+            self._count_detail(solution.detail)
         return formulated.solution(solution)
 
-    def _unwritten(self) -> QuadraticProgram:
+    def _restore_problem(self) -> QuadraticProgram:
         """Return the problem handed over last, as it was before a solver wrote to it."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
@@ -156,18 +156,18 @@ class TimedSolver:
         try:
             self._workspace.reset()
         except Exception as error:
-            self._count(f"reset: {type(error).__name__}: {error}")
+            self._count_detail(f"reset: {type(error).__name__}: {error}")
 
     def renew(self) -> None:
         """Set the workspace up from nothing, with the matrices that hold now."""
         if self._workspace.setup_every_step:
             return
         try:
-            self._workspace.setup(self._unwritten())
+            self._workspace.setup(self._restore_problem())
         except Exception as error:
-            self._count(f"setup: {type(error).__name__}: {error}")
+            self._count_detail(f"setup: {type(error).__name__}: {error}")
 
-    def _count(self, detail: str) -> None:
+    def _count_detail(self, detail: str) -> None:
         self.details[detail] = self.details.get(detail, 0) + 1
 
     def missing(self, limit_ns: int) -> Solution:
@@ -175,7 +175,7 @@ class TimedSolver:
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
         answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
-        self._count(HUNG)
+        self._count_detail(HUNG)
         return self._formulated.solution(answer)
 
 
@@ -223,7 +223,7 @@ class ResumedSolver(TimedSolver):
 
     def answer(self, step: QPStep) -> Solution:
         """Return the recorded answer up to the step that hung, then the solver's own."""
-        k, answers = self._next(), self._answers
+        k, answers = self._next_step(), self._answers
         self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
             self.renew()
@@ -243,7 +243,7 @@ class ResumedSolver(TimedSolver):
             int(answers.reported_ns[0, k]),
         )
 
-    def _next(self) -> int:
+    def _next_step(self) -> int:
         """Return the step that is answered now: a slow computer skips some."""
         self._k += 1
         while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
@@ -329,11 +329,11 @@ class RunDelay:
 
 
 @cache
-def _of_thread(thread: int) -> RunDelay:
+def _thread_run_delay(thread: int) -> RunDelay:
     return RunDelay()
 
 
 def run_delay() -> RunDelay:
     """Return the one run delay of the calling thread, which all its solvers share."""
     # The identifier of a forked child is its own, so that it opens a file of its own.
-    return _of_thread(threading.get_native_id())
+    return _thread_run_delay(threading.get_native_id())

@@ -8,7 +8,7 @@ from typing import Any
 from dpbench.bench.capability.batch import all_points, allocation_sequence
 from dpbench.bench.capability.frontier import Frontier
 from dpbench.bench.capability.study import Capability, capability_of
-from dpbench.bench.capability.table import table_of
+from dpbench.bench.capability.table import capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel
@@ -19,7 +19,7 @@ def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) 
     frontier = Frontier(vessel, sides)
     capability = capability_of(frontier)
     points = all_points(frontier, capability)
-    documents = {"capability": table_of(name, capability, points)}
+    documents = {"capability": capability_columns(name, capability, points)}
     save_sequence(path, allocation_sequence(frontier, points), documents=documents)
 
 

@@ -117,7 +117,7 @@ def hardest_window(hard: Floats, steps: int) -> int:
     return earliest + int(np.argmax(sums[earliest : at + 1]))
 
 
-def first_of_hardest(optima: Sequence[Optimum], first: int, of: int, steps: int) -> int:
+def find_hardest_window(optima: Sequence[Optimum], first: int, of: int, steps: int) -> int:
     """Return the first of the hardest `steps` steps within `first` to `first + of`."""
     optima = optima[: first + of]
     hard = hardness(active_limits(optima), has_optimum(optima))

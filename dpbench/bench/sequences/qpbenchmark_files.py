@@ -66,18 +66,18 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
         allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
         raise InputError("--out", "", repr(path.name), allowed)
     sequence = recorded.sequence
-    steps = with_optimum(recorded)
+    steps = steps_with_optimum(recorded)
     if not steps:
         raise InputError(sequence.name, "", "no step with a certified optimum", "one or more")
     table, code = path.with_suffix(".parquet"), path.with_suffix(".py")
     part = table.with_name(table.name + ".part")
     pq.write_table(problem_table(sequence, steps), part)
     part.replace(table)
-    code.write_text(_test_set(stem, sequence, len(steps)), encoding="utf-8")
+    code.write_text(_test_set_code(stem, sequence, len(steps)), encoding="utf-8")
     return table, code
 
 
-def with_optimum(recorded: Recorded) -> list[int]:
+def steps_with_optimum(recorded: Recorded) -> list[int]:
     """Return the steps of a sequence whose optimum is certified."""
     optima = recorded.optima or []
     return [k for k, optimum in enumerate(optima) if np.isfinite(optimum.bound)]
@@ -110,7 +110,7 @@ def qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
     return {key: getattr(form, key) for key in KEYS}
 
 
-def _test_set(stem: str, sequence: QPSequence, count: int) -> str:
+def _test_set_code(stem: str, sequence: QPSequence, count: int) -> str:
     base = sequence.base
     title = f"dpbench {sequence.name}".replace("\\", "/").replace('"', "'")
     description = (

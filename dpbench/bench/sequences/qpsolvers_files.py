@@ -33,10 +33,10 @@ def natural_order(folder: Path) -> list[Path]:
     files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
     if not files:
         raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {WHAT}")
-    return sorted(files, key=lambda path: (_parts(path.stem), path.name))
+    return sorted(files, key=lambda path: (_name_parts(path.stem), path.name))
 
 
-def _parts(text: str) -> list[tuple[int, int, str]]:
+def _name_parts(text: str) -> list[tuple[int, int, str]]:
     parts = re.split(r"([0-9]+)", text)
     return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
 
@@ -95,8 +95,8 @@ def read_problem(path: Path) -> QuadraticProgram:
         i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
         found = f"{P[i, j]:g} beside {P[j, i]:g} at its mirror place"
         raise InputError(where, f"P[{i}, {j}]", found, "a symmetric matrix")
-    G, h = _rows(arrays, where, ("G", "h"), n, "+")
-    A, b = _rows(arrays, where, ("A", "b"), n, "")
+    G, h = _read_rows(arrays, where, ("G", "h"), n, "+")
+    A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)
     lb, ub = (
         float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
@@ -109,7 +109,7 @@ def read_problem(path: Path) -> QuadraticProgram:
     )
 
 
-def _rows(
+def _read_rows(
     arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
 ) -> tuple[Vector, Vector]:
     """Return a matrix of rows and its right-hand side; no rows where both are absent."""

@@ -56,7 +56,7 @@ def record(
         scenario = scenario.first(steps)
     sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
     meta = sequence.meta | scenario.problem.horizons
-    sequence = thinned(replace(sequence, meta=meta), None, every)
+    sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
@@ -73,7 +73,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     return scenario_of(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
-def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
+def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
     """Return of the first `steps` steps (None: all) the first and each `every`-th after it."""
     if steps is not None and not 1 <= steps <= len(sequence):
         raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
@@ -83,25 +83,27 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         return sequence
     stride = every * int(sequence.meta.get("every", 1))
     name = f"{sequence.name}[:{steps or len(sequence)}:{every}]"
-    return _cut(sequence, slice(0, steps, every), name, {"every": stride})
+    return _select_steps(sequence, slice(0, steps, every), name, {"every": stride})
 
 
-def only_step(sequence: QPSequence, k: int) -> QPSequence:
+def select_step(sequence: QPSequence, k: int) -> QPSequence:
     """Return step k of a sequence as a sequence of one."""
     if not 0 <= k < len(sequence):
         raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
-    return _cut(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
+    return _select_steps(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
 
 
-def _cut(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
+def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
     """Return some of the steps of a sequence under another name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(
         sequence,
         name=name,
-        scaled=None if sequence.scaled is None else _cut(sequence.scaled, kept, name, meta),
+        scaled=None
+        if sequence.scaled is None
+        else _select_steps(sequence.scaled, kept, name, meta),
         meta=sequence.meta | meta,
         # It would have all steps.
         sparse_equivalent=None,
@@ -109,7 +111,7 @@ def _cut(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> 
     )
 
 
-def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
+def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
     """Describe a sequence and the certificates of its optima in half a line."""
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]

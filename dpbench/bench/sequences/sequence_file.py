@@ -159,22 +159,22 @@ def load_recorded(path: str | Path) -> Recorded:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
     if (version := count_of(arrays, where, "version")) != FORMAT_VERSION:
         raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
-    q, A = _two_axes(arrays, where, "q"), _two_axes(arrays, where, "A")
+    q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
-    sequence = _sequence(arrays, where, sizes, texts["name"], _meta(where, texts))
+    sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
     _, n, m = sizes
     units = Units(
         float_array(arrays, where, "unit_z", (n,)), float_array(arrays, where, "unit_row", (m,))
     )
     return Recorded(
         sequence,
-        _optima(arrays, where, sizes),
+        _read_optima(arrays, where, sizes),
         None if (units.z == 1.0).all() and (units.row == 1.0).all() else units,
-        _document(where, "documents", texts),
+        _read_document(where, "documents", texts),
     )
 
 
-def _sequence(
+def _read_sequence(
     arrays: Arrays, where: str, sizes: tuple[int, int, int], name: str, meta: dict[str, Any]
 ) -> QPSequence:
     K, n, m = sizes
@@ -197,7 +197,7 @@ def _sequence(
     return QPSequence(name, base, **vectors, meta=meta, **steps)
 
 
-def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
     K, n, m = sizes
     shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
     columns: list[Any] = [
@@ -217,7 +217,7 @@ def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Opt
     return [Optimum(*row) for row in rows]
 
 
-def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
@@ -227,7 +227,7 @@ def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     return array
 
 
-def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     try:
         document = parse_json(texts[name])
     except ValueError as error:
@@ -237,9 +237,9 @@ def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     return document
 
 
-def _meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
+def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
     """Return the facts about a sequence; those the replay counts with are checked."""
-    meta = _document(where, "meta", texts)
+    meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)
         whole = key == "sample_s" or isinstance(value, int)

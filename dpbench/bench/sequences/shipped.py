@@ -89,7 +89,7 @@ def stored_rules(path: Path | None = None) -> list[Rule]:
     """Return the rules of a manifest (None: the shipped one), in order; InputError if bad."""
     place = path or manifest_path()
     manifest = read_model(place, ManifestFile)
-    rules = {rule.name: rule for rule in _all_rules(manifest)}
+    rules = {rule.name: rule for rule in _expand_rules(manifest)}
     for table in manifest.left_out:
         for name in table.sequences:
             if rules.pop(name, None) is None:
@@ -98,7 +98,7 @@ def stored_rules(path: Path | None = None) -> list[Rule]:
     return list(rules.values())
 
 
-def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
+def _expand_rules(manifest: ManifestFile) -> Iterator[Rule]:
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield Rule(scenario, table.prediction, table.control, steps, table.every)

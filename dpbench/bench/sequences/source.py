@@ -20,7 +20,7 @@ from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_o
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     consequence_sequence,
-    first_of_hardest,
+    find_hardest_window,
     steered_rows,
 )
 from dpbench.bench.sequences.recording import digest, read_sequence
@@ -93,7 +93,7 @@ class _Loop:
         scenario, exact = scenario_once(cell.scenario), ExactLoop.load(path)
         first = cell.first
         if cell.is_window:
-            first = first_of_hardest(exact.optima, first, cell.last_step - first, cell.steps)
+            first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
         sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
         optima = exact.optima[first : first + cell.steps]
         return Replayed(sequence, scenario.sample_s, optima)

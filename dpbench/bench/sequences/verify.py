@@ -8,7 +8,7 @@ import numpy as np
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.npz import read_npz
-from dpbench.bench.sequences.recording import described, read_sequence
+from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -45,7 +45,7 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
             _check_step(where, k, sequence, claims[k], optimum)
         optima.append(optimum)
         shown.advance(1, path.stem)
-    return f"{where}: {described(sequence, optima if claims is None else claims)}"
+    return f"{where}: {describe_sequence(sequence, optima if claims is None else claims)}"
 
 
 def _check_active(path: Path, claims: list[Optimum]) -> None:

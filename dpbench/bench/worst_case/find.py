@@ -124,13 +124,13 @@ def find_worst_case(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    _check(goal, budget, steps, seed)
+    _check_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
-    cell = _cell(solver, route, policy, settings, base)
-    _make_room(path)
+    cell = _replay_cell(solver, route, policy, settings, base)
+    _check_writable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():
         context = template_context([solver])
@@ -140,10 +140,10 @@ def find_worst_case(
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
             search.run(base, seed)
-        return _saved(WorstCase(goal, cell, search, path, {}), seed)
+        return _save_findings(WorstCase(goal, cell, search, path, {}), seed)
 
 
-def _check(goal: str, budget: int, steps: int, seed: int) -> None:
+def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
     """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
@@ -154,7 +154,7 @@ def _check(goal: str, budget: int, steps: int, seed: int) -> None:
         raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
 
 
-def _make_room(path: Path) -> None:
+def _check_writable(path: Path) -> None:
     """Check before a search of minutes that the file can be written; InputError if not."""
     trial = path.with_name(path.name + ".part")
     try:
@@ -168,7 +168,9 @@ def _make_room(path: Path) -> None:
         raise InputError("--out", "", reason, "a file that can be written") from error
 
 
-def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
+def _replay_cell(
+    solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
+) -> Cell:
     """Return the replay of the scenario itself."""
     row = record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
@@ -187,7 +189,7 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
     )
 
 
-def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
+def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
     """Write the worst case and the failures."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
@@ -202,17 +204,17 @@ def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
         "evaluations": search.evaluations,
     }
     if search.best is not None:
-        _write(path, search.best, facts)
+        _save_case(path, search.best, facts)
     places = {
         what: path.with_name(f"{path.stem}-{_WORDS.get(what, what)}.npz")
         for what in search.failures
     }
     for what, place in places.items():
-        _write(place, search.failures[what][1], facts)
+        _save_case(place, search.failures[what][1], facts)
     return replace(worst_case, failures=places)
 
 
-def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
+def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
     scenario, worst = case.scenario, case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:

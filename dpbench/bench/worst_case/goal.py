@@ -69,7 +69,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
             return None
         objective = iterations.astype(np.float64)
     else:
-        objective = _objective_of_errors(evaluated)[counting]
+        objective = _error_objective(evaluated)[counting]
     if not len(objective):
         return None
     at = int(objective.argmax())
@@ -91,7 +91,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     )
 
 
-def _objective_of_errors(evaluated: Evaluated) -> Floats:
+def _error_objective(evaluated: Evaluated) -> Floats:
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

@@ -53,9 +53,9 @@ class SearchedSolver:
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
-        self._start()
+        self._start_process()
 
-    def _start(self) -> None:
+    def _start_process(self) -> None:
         args = (self._cell.to_json(), self._folder, "searched")
         self._child = ServingChild(
             self._context, answer_sequences, args, self._folder, "searched", limit_s=None
@@ -80,7 +80,7 @@ class SearchedSolver:
             outcome = Outcome("timed_out", f"the sequence took more than {limit_s:g} s")
         elif completed is not True:
             outcome = self._child.dismiss()
-            self._start()
+            self._start_process()
         if not raw.exists():
             return outcome, None
         sample_s = float(sequence.meta.get("sample_s", float("nan")))
@@ -141,14 +141,14 @@ class Search:
         self._space.scenario(np.zeros(self._space.dimensions))
         self._progress.start(self._budget)
         try:
-            self._see(base)
-            self._climb(np.random.default_rng(seed))
+            self._evaluate_baseline(base)
+            self._evolve(np.random.default_rng(seed))
         except _BudgetError:
             return
         except KeyboardInterrupt:
             self.stopped = "interrupted"
 
-    def _see(self, base: Scenario) -> None:
+    def _evaluate_baseline(self, base: Scenario) -> None:
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
         outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
@@ -157,14 +157,14 @@ class Search:
             allowed = "a solver that counts its iterations on this route, or --goal error"
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
-    def _climb(self, rng: np.random.Generator) -> None:
+    def _evolve(self, rng: np.random.Generator) -> None:
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
         while not self.stopped:
             first = qmc.Sobol(d, seed=rng).random(size)
             differential_evolution(
-                self._cost,
+                self._point_cost,
                 Bounds(-np.ones(d), np.ones(d)),
                 init=2.0 * first - 1.0,
                 maxiter=self._budget,
@@ -173,17 +173,17 @@ class Search:
                 seed=rng,
             )
 
-    def _cost(self, point: Floats) -> float:
+    def _point_cost(self, point: Floats) -> float:
         """Return minus the score of a point; infinite where it has none."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
-        worst = self._try(point)
+        worst = self._evaluate_case(point)
         known = None if self.best is None else self.best.worst
         self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
         return np.inf if worst is None else -worst.score
 
-    def _try(self, point: Floats) -> Worst | None:
+    def _evaluate_case(self, point: Floats) -> Worst | None:
         try:
             scenario = self._space.scenario(point)
             sequence = record_sequence(scenario)

@@ -94,7 +94,7 @@ class SearchSpace:
         weather["mean_kN"] = (point[_STEADY] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _moment(point[_WHEN], duration_s, sample_s),
+                "start_s": _time_of_share(point[_WHEN], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
@@ -102,12 +102,12 @@ class SearchSpace:
             }
         )
         if self._first_fault_s is not None:
-            later = _moment(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
+            later = _time_of_share(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
         return scenario_of(files, where=f"variant of {self._name}")
 
 
-def _moment(share: float, duration_s: float, sample_s: float) -> float:
+def _time_of_share(share: float, duration_s: float, sample_s: float) -> float:
     """Return the time from the first sample (−1) to the last (1) [s]."""
     return float(0.5 * (1.0 + share) * (duration_s - sample_s))

@@ -11,16 +11,9 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.batch import (
-    EDGE,
-    Point,
-    all_points,
-    allocation_sequence,
-    points_at_edge,
-)
+from dpbench.bench.capability import batch, table
 from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
-from dpbench.bench.capability.table import COLUMNS, load_capability, table_of, write_capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
 from dpbench.bench.record.qp_source import CapabilitySource
@@ -38,38 +31,46 @@ SOME = (0.0, 20.0, 100.0, 200.0)
 
 @pytest.fixture(scope="module")
 def frontier() -> Frontier:
-    """Of Ratownik, with polygons."""
     return Frontier(load_vessel("ratownik"), 24)
 
 
 @pytest.fixture(scope="module")
-def points(frontier: Frontier) -> list[Point]:
-    """Four directions, intact and after three failures."""
+def points(frontier: Frontier) -> list[batch.Point]:
     return [
         point
         for case in frontier.cases
         for from_rad in map(math.radians, SOME)
-        for point in points_at_edge(case, from_rad, frontier.held(case, from_rad))
+        for point in batch.points_at_edge(case, from_rad, frontier.held(case, from_rad))
     ]
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    points = points_at_edge(Case("intact", frozenset()), 0.1, Held(15.0, 6))
-    winds = [DP_CONDITIONS[6][0], (1 - EDGE) * 15.0, (1 + EDGE) * 15.0, DP_CONDITIONS[7][0]]
+    points = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(15.0, 6))
+    winds = [
+        DP_CONDITIONS[6][0],
+        (1 - batch.EDGE) * 15.0,
+        (1 + batch.EDGE) * 15.0,
+        DP_CONDITIONS[7][0],
+    ]
     assert [point.wind_mps for point in points] == winds
     assert [point.held for point in points] == [True, True, False, False]
-    top = points_at_edge(Case("intact", frozenset()), 0.1, Held(32.6, 11))
+    top = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(32.6, 11))
     assert [point.wind_mps for point in top] == [DP_CONDITIONS[row][0] for row in (8, 9, 10, 11)]
     assert all(point.held for point in top)
-    nothing = points_at_edge(Case("intact", frozenset()), 0.1, Held(1.0, 0))
-    assert [point.wind_mps for point in nothing] == [0.5, 1 - EDGE, 1 + EDGE, DP_CONDITIONS[1][0]]
+    nothing = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(1.0, 0))
+    assert [point.wind_mps for point in nothing] == [
+        0.5,
+        1 - batch.EDGE,
+        1 + batch.EDGE,
+        DP_CONDITIONS[1][0],
+    ]
 
 
 @pytest.mark.slow
 def test_the_referee_proves_what_the_cone_program_found(
-    frontier: Frontier, points: list[Point]
+    frontier: Frontier, points: list[batch.Point]
 ) -> None:
-    sequence = allocation_sequence(frontier, points)
+    sequence = batch.allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
     for point, optimum in zip(points, certified(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
@@ -77,7 +78,6 @@ def test_the_referee_proves_what_the_cone_program_found(
 
 
 def made_up(frontier: Frontier) -> Capability:
-    """Edges that cost nothing to find."""
     known = {
         case.name: tuple(Held(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
         for case in frontier.cases
@@ -88,19 +88,19 @@ def made_up(frontier: Frontier) -> Capability:
 @pytest.mark.slow
 def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> None:
     capability = made_up(frontier)
-    points = all_points(frontier, capability)
-    assert load_capability(tmp_path) is None
-    write_capability(tmp_path, [table_of("some name", capability, points)])
-    table = load_capability(tmp_path)
-    assert table is not None
-    assert list(table) == list(COLUMNS)
-    assert table["k"].tolist() == list(range(len(points)))
-    assert table["wind_mps"].tolist() == [point.wind_mps for point in points]
-    assert table["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
-    assert table["edge_mps"].iloc[4] == 11.0
+    points = batch.all_points(frontier, capability)
+    assert table.load_capability(tmp_path) is None
+    table.write_capability(tmp_path, [table.capability_columns("some name", capability, points)])
+    found = table.load_capability(tmp_path)
+    assert found is not None
+    assert list(found) == list(table.COLUMNS)
+    assert found["k"].tolist() == list(range(len(points)))
+    assert found["wind_mps"].tolist() == [point.wind_mps for point in points]
+    assert found["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
+    assert found["edge_mps"].iloc[4] == 11.0
     (tmp_path / "capability.parquet").write_bytes(b"nothing")
     with pytest.raises(ResultsError, match=r"capability\.parquet"):
-        load_capability(tmp_path)
+        table.load_capability(tmp_path)
 
 
 @pytest.mark.slow
@@ -128,7 +128,6 @@ routes = ["default", "native"]
 
 
 def suite_of(**keys: object) -> SuiteFile:
-    """A suite with one plot."""
     return SuiteFile(title="", capability=[CapabilityTable.model_validate(keys)])
 
 
@@ -155,7 +154,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     """A row a QP in `capability.parquet`."""
     (tmp_path / "edge.toml").write_text(SUITE, encoding="utf-8")
     out = run_campaign(tmp_path / "edge.toml", tmp_path / "out", solvers=["quadprog"])
-    table_of_run = load_capability(out)
+    table_of_run = table.load_capability(out)
     assert table_of_run is not None
     (plot,) = capability_plots(Records(load_results(out)), table_of_run)
     (answers,) = plot.answers
@@ -165,7 +164,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
     (out / "capability.parquet").unlink()
     run_campaign(tmp_path / "edge.toml", out, solvers=["quadprog"])
-    assert load_capability(out) is not None
+    assert table.load_capability(out) is not None
     page = write_report(out).read_text(encoding="utf-8")
     assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
     assert (out / "figures" / "capability-osv.svg").is_file()

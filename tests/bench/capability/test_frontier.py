@@ -150,7 +150,6 @@ def test_a_ship_that_can_push_sideways_only_holds_nothing() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    """No thrusters, no hull, no polygon."""
     with pytest.raises(InputError, match="thrusters: found none"):
         Frontier(load_vessel("supply_fs99"))
     with pytest.raises(InputError, match="capability: found nothing"):

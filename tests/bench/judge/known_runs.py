@@ -96,16 +96,10 @@ def metrics_of(
     exact: ExactLoop | None = None,
     scenario: Scenario | None = None,
 ) -> dict[str, float]:
-    """Return the control metrics of a run.
+    """Return the control metrics of a run; what is not given is zero, or the ship's own.
 
-    Parameters
-    ----------
-    pose : (K + 1, 3) north, east, heading [m, m, rad] at the sample times.
-    u : (K, n_u) what was applied; None for nothing.
-    velocity : (K + 1, 3) of the ship; None for a ship at rest.
-    reference : (K + 1, 3) or more; None for zero.
-    limits : least and most force of each sample (K, 3) or more; None for the ship's own.
-    exact : the exactly solved loop; None for one that stays at zero.
+    pose, velocity, reference : (K + 1, 3); pose in [m, m, rad]. u : (K, n_u).
+    limits : least and most force of each sample (K, 3).
     """
     ship = round_ship() if scenario is None else scenario
     K = len(pose) - 1

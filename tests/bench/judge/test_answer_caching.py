@@ -236,7 +236,6 @@ def test_a_memory_of_hard_steps_is_marked(
 
 @pytest.mark.parametrize("make", [Honest, AtSetup, Warming])
 def test_whoever_solves_is_not(make: type[Honest], sequence: QPSequence) -> None:
-    """A long set-up, its one problem known, or a third of warming is no memory."""
     found = ratio(replayed(make, sequence))
     assert found == pytest.approx(4 / 3 if make is Warming else 1.0, rel=0.01)
     assert not remembers(row(found))

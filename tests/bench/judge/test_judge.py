@@ -81,7 +81,6 @@ class Planted(Workspace):
         return self._spoil(found) if self._asked == AT else found  # type: ignore[no-any-return] # the fault
 
     def reset(self) -> None:
-        """Called for the disturbed answer, and where a round begins."""
         self._inside.reset()
         if self._asked != AT:
             self._asked = -1

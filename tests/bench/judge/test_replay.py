@@ -26,7 +26,6 @@ def sequence(unit: float = 1.0) -> QPSequence:
 
 
 def log_of(answers: list[list[float]]) -> RawLog:
-    """The answers of each round, as long as it went."""
     log = RawLog.in_memory(replay_layout(len(answers), STEPS, 1, 1))
     for r, row in enumerate(answers):
         log.done[r] = len(row)
@@ -35,13 +34,11 @@ def log_of(answers: list[list[float]]) -> RawLog:
 
 
 def figure(evaluated: Evaluated, name: str) -> list[float]:
-    """A figure of the referee, row by row."""
     found: list[float] = evaluated.columns["evaluations"][:, EVALUATION.index(name)].tolist()
     return found
 
 
 def kinds(evaluated: Evaluated) -> list[str]:
-    """The certificates, row by row."""
     return [CERTIFICATES[i] for i in evaluated.columns["certificate"]]
 
 
@@ -124,7 +121,6 @@ ONES = np.ones(2)
 
 
 def alike(rounds: int = 3, steps: int = 4) -> RawLog:
-    """Return a log of full rounds that are all alike."""
     log = RawLog.in_memory(replay_layout(rounds, steps, 2, 1))
     log.z[:] = np.arange(2.0 * steps).reshape(steps, 2)
     log.iterations[:] = np.arange(steps)

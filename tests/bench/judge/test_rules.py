@@ -10,24 +10,10 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.step_times import times_by_run
+from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import (
-    claimed_not_true,
-    counting_rows,
-    decided,
-    disturbed_rounds,
-    errors,
-    explained_by,
-    failed_steps,
-    largest,
-    median,
-    percentile,
-    supports,
-    true_not_claimed,
-    unusable,
-)
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
@@ -56,14 +42,12 @@ def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog
 
 
 def _sequence() -> QPSequence:
-    """QPs whose optimum is zero."""
     eye, one, zero = np.eye(N), np.ones(N), np.zeros((STEPS, N))
     base = QuadraticProgram(eye, zero[0], eye, -one, one, -one, one)
     return QPSequence("made up", base, zero, zero - 1, zero + 1)
 
 
 def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
-    """The rows of both tables."""
     configuration = {"name": "made up"}, "planted", "native", "fresh", "default", STEPS
     cell = Cell("replay", *configuration, rounds=3)
     steps = step_columns(cell, evaluated)
@@ -104,18 +88,18 @@ def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> Non
     """Kernels of 4 and at most 5 are calm, 5.01 is not; one that was never timed spoils nothing."""
     kernel_ns = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
     rounds = np.arange(5, dtype=np.int32)
-    assert disturbed_rounds(rounds, kernel_ns).tolist() == [2]
-    assert disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
+    assert rules.disturbed_rounds(rounds, kernel_ns).tolist() == [2]
+    assert rules.disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
 
 
 def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
     """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none; a warm-up alone."""
     repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
     no, yes = False, True
-    assert counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
-    assert counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
-    assert counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
-    assert not counting_rows(0 * repeat, repeat == 1).any()
+    assert rules.counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
+    assert rules.counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
+    assert rules.counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+    assert not rules.counting_rows(0 * repeat, repeat == 1).any()
 
 
 def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
@@ -166,9 +150,9 @@ def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> N
 
 @pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
-    assert supports(needed, percent) and not supports(needed - 1, percent)
-    assert np.isfinite(percentile(np.arange(float(needed)), percent))
-    assert np.isnan(percentile(np.arange(needed - 1.0), percent))
+    assert rules.supports(needed, percent) and not rules.supports(needed - 1, percent)
+    assert np.isfinite(rules.percentile(np.arange(float(needed)), percent))
+    assert np.isnan(rules.percentile(np.arange(needed - 1.0), percent))
 
 
 def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
@@ -195,23 +179,23 @@ def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
         "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
         "primal": np.array([0.1, 0.2, np.inf, 0.3, 0.0]),
     }
-    assert unusable(steps).tolist() == [True, True, True, False, False]
+    assert rules.unusable_steps(steps).tolist() == [True, True, True, False, False]
 
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
-    np.testing.assert_array_equal(errors(alone), [0.1, 0.3, np.nan])
+    np.testing.assert_array_equal(rules.errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
-    assert errors(both).tolist() == [0.2, 0.3, 0.4]
+    assert rules.errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
 def test_medians_and_maxima_are_of_what_is_there() -> None:
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
-    assert (median(values), largest(values)) == (3.0, 8.0)
-    assert largest([-2.0, -3.0]) == -2.0
-    assert median([7.0]) == largest([7.0]) == 7.0
+    assert (rules.median(values), rules.largest(values)) == (3.0, 8.0)
+    assert rules.largest([-2.0, -3.0]) == -2.0
+    assert rules.median([7.0]) == rules.largest([7.0]) == 7.0
     for nothing in ([], [np.nan]):
-        assert np.isnan(median(nothing)) and np.isnan(largest(nothing))
+        assert np.isnan(rules.median(nothing)) and np.isnan(rules.largest(nothing))
 
 
 # Certificate, status, claimed, true, fallback, unconverged; what the step then counts as.
@@ -243,15 +227,15 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
     columns |= dict.fromkeys(("error_plan", "primal"), np.zeros(len(CASES)))
     steps = pd.DataFrame(columns) if as_table else columns
     found = {
-        "unknown": ~decided(steps),
-        "failed": failed_steps(steps),
-        "claimed_not_true": claimed_not_true(steps),
-        "true_not_claimed": true_not_claimed(steps),
+        "unknown": ~rules.decided(steps),
+        "failed": rules.failed_steps(steps),
+        "claimed_not_true": rules.claimed_not_true(steps),
+        "true_not_claimed": rules.true_not_claimed(steps),
     }
     for i, (case, expected) in enumerate(CASES.items()):
         assert {name for name, flags in found.items() if flags[i]} == set(expected.split()), case
     of_no_use = [case[1] in ("PRIMAL_INFEASIBLE", "ERROR") for case in CASES]
-    assert unusable(steps).tolist() == of_no_use
+    assert rules.unusable_steps(steps).tolist() == of_no_use
 
 
 @pytest.mark.parametrize(
@@ -268,4 +252,4 @@ def test_switches_explain_late_timings_in_proportion_to_timed_calls(
     switches: float, timed_share: float, explained: int
 ) -> None:
     """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
-    assert explained_by(switches, timed_share) == explained
+    assert rules.explained_by(switches, timed_share) == explained

@@ -34,7 +34,6 @@ def flags(text: str) -> np.ndarray:
 
 
 def row_of(cell: Cell, steps: Any = None, judged: Any = None, **given: Any) -> dict[str, Any]:
-    """Return the row of a cell."""
     outcome = Outcome("finished", "", "dense", 15, 12)
     return run_row("a1", cell, outcome, Availability(True), "m", judged, steps, **given)
 
@@ -61,13 +60,11 @@ def loop_steps(**columns: Any) -> dict[str, Any]:
 
 
 def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
-    """Return the row of such a loop."""
     cell = replace(LOOP, slowdown=slowdown)
     return row_of(cell, loop_steps(**columns), Evaluated(ONCE, {}))
 
 
 def test_fallbacks_of_a_known_run() -> None:
-    """The fallback acts for one, three and two steps; the second recovery takes five."""
     row = closed_loop_row(
         fallback=flags("0101110001100"),
         true=flags("1010000011011"),
@@ -90,7 +87,6 @@ def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
 
 
 def test_accuracy_of_a_known_run() -> None:
-    """Shares of eight steps leave out an undecided and an uncertified one."""
     row = closed_loop_row(
         certificate=["linear", "gap", *["linear"] * 3, "undecided", "none", "infeasible"],
         claimed=flags("11100111"),
@@ -239,11 +235,13 @@ def test_half_a_nanosecond_is_rounding() -> None:
 def test_an_answer_exactly_in_time_is_not_late() -> None:
     """An answer at the budget of 1000 ns is in time; a step without a computation is late."""
     took = np.array([1000, 1001, 999, 3000])
-    plain = timing.late_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
+    plain = timing.deadline_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
     assert plain["late"].tolist() == [False, True, False, True]
     assert "latency_ns" not in plain
     latency = np.array([1000, 1001, 999, -7, -1, 0])
-    slow = timing.late_columns(ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6))
+    slow = timing.deadline_columns(
+        ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6)
+    )
     assert slow["late"].tolist() == [False, True, False, True, True, False]
     assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT, ABSENT, 0]
 
@@ -252,7 +250,6 @@ def test_an_answer_exactly_in_time_is_not_late() -> None:
     ("row", "longest"), [("", 0), ("0", 0), ("1", 1), ("1101", 2), ("0111", 3), ("10111101", 4)]
 )
 def test_longest_run_of_flags(row: str, longest: int) -> None:
-    """The longest run may be at the start, in the middle or at the end."""
     assert timing.longest_streak(flags(row)) == longest
 
 
@@ -271,7 +268,6 @@ def test_longest_run_of_flags(row: str, longest: int) -> None:
     ],
 )
 def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> None:
-    """The slowest recovery counts; None where a run never recovers."""
     assert timing.steps_to_recover(flags(bad), flags(good)) == steps
 
 

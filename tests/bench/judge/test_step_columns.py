@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.rules import select_rows
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES
@@ -83,7 +82,6 @@ def test_what_an_answer_claims_and_took() -> None:
 
 
 def test_what_the_referee_found() -> None:
-    """Nothing is true of an answer that was not judged, and no limit is active."""
     steps = loop()
     assert steps["true"].tolist() == [True, False, False]
     assert steps["true_1e4"].tolist() == [False, True, False]
@@ -117,16 +115,6 @@ def test_a_step_without_a_computation_claims_nothing() -> None:
     assert steps["latency_ns"].tolist() == [345, 10**9, ABSENT]
 
 
-def test_the_second_answers_of_a_cascade_join_the_first() -> None:
-    second = of_qps([[0, -1, 1, 2, 3, 0]] * 3, true=[1.0] * 3, error_move=[9.0, 8.0, 7.0])
-    steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
-    assert steps["allocation_ns"].tolist() == [6] * 3
-    assert steps["total_ns"].tolist() == [121, 232, ABSENT]
-    assert steps["waited_ns"].tolist() == [14, 0, ABSENT]
-    assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
-    assert steps["true"].tolist() == [True, False, False]
-
-
 @pytest.mark.parametrize(
     ("kernels", "disturbed", "counts"),
     [
@@ -137,7 +125,6 @@ def test_the_second_answers_of_a_cascade_join_the_first() -> None:
 def test_rounds_of_a_replay(
     kernels: list[float], disturbed: list[bool], counts: list[bool]
 ) -> None:
-    """One step of the warm-up and of two rounds, the first of them undisturbed or not."""
     columns = of_qps(PHASES) | {
         "repeat": np.array([0, 1, 2], dtype=np.int32),
         "t_s": np.zeros(3),
@@ -149,8 +136,3 @@ def test_rounds_of_a_replay(
     assert steps["unconverged"].tolist() == [False, True, False]
     assert steps["fallback"].tolist() == [False, False, True]
     assert not {"late", "n_m", "clipped"} & set(steps)
-
-
-def test_some_of_the_rows_are_those_of_every_column() -> None:
-    rows = select_rows({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
-    assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

@@ -32,7 +32,6 @@ Forces = Sequence[Sequence[float]]
 
 
 def ship(turning: AzimuthTurning | None = None) -> Scenario:
-    """Return the ship of round numbers with these thrusters."""
     own = THRUSTERS, ROWS, np.eye(4)
     return thruster_ship(
         ThrusterControl(*own) if turning is None else TurningThrusterControl(*own, turning)

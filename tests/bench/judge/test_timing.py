@@ -10,8 +10,8 @@ import pytest
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rules import counting_rows, select_rows
 from dpbench.bench.judge.timing import (
-    disturbed_rounds_of,
-    load_time,
+    find_disturbed_rounds,
+    load_kernel_time_ns,
     reference_kernel_median,
     timing_metrics,
 )
@@ -88,11 +88,10 @@ def test_disturbed_rounds_are_named_by_their_number() -> None:
         "repeat": np.array([0, 2, 2, 5]),
         "reference_kernel_ns": np.array([[4, 4], [4, 9], [9, 4]]),
     }
-    assert disturbed_rounds_of(columns).tolist() == [2, 5]
+    assert find_disturbed_rounds(columns).tolist() == [2, 5]
 
 
 def test_a_cascade_is_set_up_twice() -> None:
-    """The set-ups of both QPs add up; a solver that is set up at each step has none."""
     assert replayed()["setup_once_ns"] == 7
     assert replayed(allocation_setup_once_ns=np.array([11]))["setup_once_ns"] == 18
     shortest = replayed(setup_once_ns=np.array([1]), allocation_setup_once_ns=np.array([11]))
@@ -136,7 +135,6 @@ def test_a_thousand_steps_carry_a_p99_and_ten_thousand_a_p999() -> None:
 
 
 def rounds_of(repeat: Any, k: Any, total_ns: Any) -> dict[str, Any]:
-    """Return the columns of two undisturbed rounds."""
     kernels = {"reference_kernel_ns": np.ones((2, 2)), "load_kernel_ns": np.ones((2, 1, 1))}
     once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
     steps = {"repeat": repeat, "k": k, "total_ns": total_ns, "disturbed": repeat > 2}
@@ -163,4 +161,4 @@ def test_a_round_that_ended_early_leaves_its_later_steps_to_the_others() -> None
 def test_a_kernel_that_was_not_timed_is_no_time() -> None:
     assert reference_kernel_median({"reference_kernel_ns": np.array([[0.0, 1.0]])}) == 1.0
     load = {"repeat": np.array([1, 2]), "load_kernel_ns": np.array([[[1.0, 2.0]], [[3.0, 0.0]]])}
-    assert load_time(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))
+    assert load_kernel_time_ns(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))

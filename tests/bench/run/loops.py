@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import QPBuilder, in_loop
+from dpbench.bench.run.formulation import QPBuilder, loop_formulation
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -74,7 +75,7 @@ def run_loop(
     """Return the log of a closed loop, and whether all steps were done."""
     builder = QPBuilder(scenario, sparse=formulation == "sparse")
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes, backup=backup is not None))
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
+    formulated = loop_formulation(formulation, builder, base_problem(builder.condensed))
     solver = TimedSolver(workspace, formulated, clock)
     setup = ClosedLoopSetup(scenario, builder, solver, log, fallback, limit_ns, clock, **given)
     if backup is not None and log.backup is not None:
@@ -84,5 +85,9 @@ def run_loop(
 
 
 def surge_steps(log: RawLog, scenario: Scenario) -> list[float]:
-    """Return the applied surge forces in rate-limit steps."""
     return np.round(log.tau[:, 0] / scenario.problem.du_max[0], 9).tolist()
+
+
+def limit_violations(scenario: Scenario, log: RawLog) -> float:
+    limits = QPBuilder(scenario).thruster_limits
+    return thruster_metrics(scenario, log.thrust, limits)["limit_violations"]

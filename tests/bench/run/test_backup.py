@@ -162,7 +162,6 @@ def suite(**keys: object) -> SuiteFile:
 
 
 def test_a_suite_names_its_backup() -> None:
-    """It is part of the cell and of the scenario's name; without one a cell is what it was."""
     (plain,) = plan(suite(), solvers=["quadprog"])
     (backed,) = plan(suite(backup="daqp", fallback="hold"), solvers=["quadprog"])
     assert backed.cell.backup == "daqp" and "backup" not in plain.cell.to_json()

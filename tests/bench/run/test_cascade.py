@@ -16,7 +16,6 @@ import quadprog
 
 from dpbench import open_workspace, run_closed_loop
 from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
@@ -33,6 +32,7 @@ from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.function import FunctionWorkspace
+from tests.bench.run.loops import limit_violations
 
 
 def scenario(steps: int = 60, **changes: Any) -> Scenario:
@@ -51,11 +51,14 @@ def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
 
 
 def steered_by(case: Scenario, workspace: Workspace, **fields: Any) -> ClosedLoopSetup:
-    """What a closed loop is made of, after it has run."""
     described = cell(case, workspace.solver, **fields)
     setup = closed_loop_setup(described, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
     assert closed_loop(setup)
     return setup
+
+
+def daqp() -> Workspace:
+    return open_workspace("daqp", route="native", settings="high")
 
 
 @pytest.fixture(scope="module")
@@ -157,9 +160,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     # In SI an answer of the same settings is less exact.
     most = np.array([1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]) * (100.0 if "units" in fields else 1.0)
     assert (away <= most).all(), away
-    builder = QPBuilder(case)
-    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     assert not log.flags.any()
 
 
@@ -167,11 +168,9 @@ def test_every_form_steers_as_the_exact_loop_does(
 def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     """Lost at 6 s: every step has an answer, no limit is broken, the others go on."""
     lost = scenario(80, tables={"faults": [{"at_s": 6.0, "lost": ["board A"]}]})
-    log = steered_by(lost, open_workspace("daqp", route="native", settings="high")).log
+    log = steered_by(lost, daqp()).log
     assert not log.flags.any()
-    builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(lost, log) == 0.0
     gone = 20 + math.ceil(12.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
     assert np.abs(log.thrust[19, [0, 2, 3]]).max() > 1e4
@@ -185,11 +184,9 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
         files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
         files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
         case = scenario_of(files)
-        log = steered_by(case, open_workspace("daqp", route="native", settings="high")).log
+        log = steered_by(case, daqp()).log
         assert not log.flags[:, :2].any()
-        builder = QPBuilder(case)
-        metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
-        assert metrics["limit_violations"] == 0.0
+        assert limit_violations(case, log) == 0.0
         away = np.abs(log.demand - log.tau) / case.vessel.tau_max
         missing[limits] = float(away[100:].max(axis=1).mean())
     assert missing["box"] > 0.01
@@ -226,14 +223,13 @@ def function_workspace() -> FunctionWorkspace:
 
 def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: Scenario) -> None:
     setup = steered_by(case, function_workspace())
-    log, builder = setup.log, QPBuilder(case)
+    log = setup.log
     assert log.flags[:, 0].all()
     assert (log.status[0] == Status.SOLVED).all()
     assert log.allocation is not None
     assert (log.allocation.status[0] == Status.ERROR).all()
     assert setup.solver.details == {"ArithmeticError: no allocation": case.steps}
-    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     plain = scenario(allocation="pseudo_inverse")
     other = steered_by(plain, function_workspace()).log
     np.testing.assert_array_equal(other.thrust, log.thrust)
@@ -245,7 +241,7 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
 def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
     still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
     moved = scenario_of(copy.deepcopy(still.files))
-    log = steered_by(moved, open_workspace("daqp", route="native", settings="high")).log
+    log = steered_by(moved, daqp()).log
     free = log.flags[:, 2] == 0
     assert free.any()
     np.testing.assert_allclose(log.tau[free], log.demand[free], rtol=1e-9, atol=1e-3)
@@ -255,7 +251,7 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
     counts = []
     for allocation in ("qp", "pseudo_inverse"):
         steered = scenario(5, allocation=allocation)
-        workspace = open_workspace("daqp", route="native", settings="high")
+        workspace = daqp()
         described = cell(steered)
         setup = closed_loop_setup(described, steered, workspace, RawLog.in_memory, NO_LIMIT_NS)
         setup.clock = itertools.count().__next__

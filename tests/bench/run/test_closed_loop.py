@@ -61,7 +61,6 @@ def run(
 
 
 def constant(value: float) -> Answer:
-    """The same number for every move."""
     return lambda k, step: Solution(Status.SOLVED, np.full(15, value), np.zeros(15), np.zeros(15))
 
 
@@ -121,7 +120,6 @@ def test_u_prev_is_the_force_applied_after_clipping(scenario: Scenario) -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -5.0])
 def test_no_answer_violates_a_limit(scenario: Scenario, bad: float) -> None:
-    """Whatever the solver answers, the applied force obeys amplitude and rate limits exactly."""
     rng = np.random.default_rng(1)
 
     def answer(k: int, step: QPStep) -> Solution:
@@ -176,29 +174,24 @@ def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
     )
 
 
-@pytest.mark.parametrize("status", [Status.MAX_ITERATIONS, Status.INACCURATE])
-def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status: Status) -> None:
-    """A finite iterate under MAX_ITERATIONS or INACCURATE moves the ship and is `unconverged`."""
-    answer: Answer = lambda k, step: Solution(  # noqa: E731 - a one-line script reads best so
-        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
-    )
-    log, _, _ = run(scenario, answer)
-    assert log.flags[:, 1].all() and not log.flags[:, 0].any()
-    np.testing.assert_allclose(log.tau[0], 0.25 * scenario.problem.du_max, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
-    "status", [Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE, Status.ERROR, Status.TIME_LIMIT]
+    ("status", "is_applied"),
+    [
+        *((status, True) for status in (Status.MAX_ITERATIONS, Status.INACCURATE)),
+        *((status, False) for status in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)),
+        *((status, False) for status in (Status.ERROR, Status.TIME_LIMIT)),
+    ],
 )
-def test_an_iterate_under_a_failed_status_is_not_applied(
-    scenario: Scenario, status: Status
+def test_an_unfinished_iterate_is_applied_and_one_under_a_failed_status_is_not(
+    scenario: Scenario, status: Status, is_applied: bool
 ) -> None:
-    answer: Answer = lambda k, step: Solution(  # noqa: E731 - see above
-        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
-    )
-    log, _, _ = run(scenario, answer)
-    assert log.flags[:, 0].all()
-    np.testing.assert_array_equal(log.tau, 0.0)
+    """The first moves the ship and is `unconverged`; instead of the second the fallback acts."""
+    answer = Solution(status, np.full(15, 0.25), np.zeros(15), np.zeros(15))
+    log, _, _ = run(scenario, lambda k, step: answer)
+    assert (log.flags[:, 1] == is_applied).all() and (log.flags[:, 0] != is_applied).all()
+    first = 0.25 * scenario.problem.du_max if is_applied else np.zeros(3)
+    np.testing.assert_allclose(log.tau[0], first, rtol=1e-12)
+    assert is_applied or not log.tau.any()
 
 
 def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:

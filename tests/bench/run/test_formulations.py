@@ -19,15 +19,9 @@ from dpbench import (
     run_closed_loop,
     write_report,
 )
+from dpbench.bench.plan import suite
 from dpbench.bench.plan.cells import NO_MODEL, NOT_STRICT
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import (
-    ClosedLoopTable,
-    RecordedTable,
-    ReplayTable,
-    SuiteFile,
-    load_suite,
-)
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.formulation import QPBuilder, in_replay
 from dpbench.bench.sequences.recording import with_horizons
@@ -44,37 +38,8 @@ SOLVER = "piqp_multistage"
 HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
 
 
-class Seen(Workspace):
-    """A workspace that keeps the problems another one is given."""
-
-    def __init__(self, inner: Workspace) -> None:
-        super().__init__(inner.solver, inner.route, inner.policy)
-        self.inner, self.setup_every_step = inner, inner.setup_every_step
-        self.base: QuadraticProgram | None = None
-        self.problems: list[QuadraticProgram] = []
-
-    def setup(self, qp: QuadraticProgram) -> None:
-        self.base = qp
-        self.inner.setup(qp)
-
-    def update(self, step) -> None:  # type: ignore[no-untyped-def] # as in the contract
-        assert self.base is not None
-        self.problems.append(self.base.at(step))
-        self.inner.update(step)
-
-    def solve(self) -> None:
-        self.inner.solve()
-
-    def read(self) -> Solution:
-        return self.inner.read()
-
-    def reset(self) -> None:
-        self.inner.reset()
-
-
-def workspace() -> Seen:
-    """A kept native workspace that remembers what it was given."""
-    return Seen(open_workspace(SOLVER, route="native", policy="reuse", settings=HIGH))
+def workspace(policy: Policy = "reuse") -> Workspace:
+    return open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
 
 
 def early_loss() -> Scenario:
@@ -96,10 +61,9 @@ LOOPS = {
 @pytest.mark.parametrize("name", LOOPS)
 def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
     scenario = LOOPS[name]()
-    seen = workspace()
-    run = run_closed_loop(scenario, seen, formulation="sparse")
+    run = run_closed_loop(scenario, workspace(), formulation="sparse")
     stages = scenario.problem.N_c * 15 + (scenario.problem.N_p - scenario.problem.N_c) * 9
-    assert {qp.n for qp in seen.problems} == {stages}
+    assert run.summary["n"] == stages
     assert run.summary["formulation"] == "sparse"
     assert run.steps["true_1e6"].all() and run.steps["claimed"].all()
     assert run.steps["error_plan"].max() <= 1e-7
@@ -110,8 +74,7 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
     sequence = record_sequence(load_scenario("paper").first(25))
-    inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
-    run = replay(sequence, inner, repeats=2, formulation="sparse")
+    run = replay(sequence, workspace(policy), repeats=2, formulation="sparse")
     assert run.steps["true_1e6"].all() and len(run.steps) == 3 * 25
     assert run.steps["error_plan"].max() <= 1e-7
     assert run.summary["formulation"] == "sparse"
@@ -160,20 +123,20 @@ def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
 
 def test_formulations_are_an_axis_of_the_tables() -> None:
     three = ["condensed_box", "condensed_stacked", "sparse"]
-    table = ReplayTable(scenario="paper", steps=10, formulations=three)
-    loops = ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
+    table = suite.ReplayTable(scenario="paper", steps=10, formulations=three)
+    loops = suite.ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
     cells = [p.cell for p in plan(_suite(replay=[table], closed_loop=[loops]))]
     assert [(c.mode, c.formulation) for c in cells] == [
         *(("closed_loop", name) for name in three),
         *(("replay", name) for name in three),
     ]
     assert len({cell.problem_key for cell in cells}) == 2
-    usual = plan(_suite(replay=[ReplayTable(scenario="paper", steps=10)]))
+    usual = plan(_suite(replay=[suite.ReplayTable(scenario="paper", steps=10)]))
     assert [p.cell.formulation for p in usual] == ["condensed_box"]
 
 
-def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
-    return SuiteFile(title="x", solvers=list(solvers), baseline_law=False, **tables)
+def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> suite.SuiteFile:
+    return suite.SuiteFile(title="x", solvers=list(solvers), baseline_law=False, **tables)
 
 
 @pytest.mark.parametrize(
@@ -188,7 +151,7 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
     ],
 )
 def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
-    table = ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
+    table = suite.ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
     box, sparse = plan(_suite(replay=[table]))
     assert box.refused == ""
     assert why in sparse.refused and bool(why) == bool(sparse.refused)
@@ -199,7 +162,9 @@ def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> 
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
-    table = ReplayTable(scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"])
+    table = suite.ReplayTable(
+        scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"]
+    )
     refused = {
         (p.cell.solver, p.cell.formulation): p.refused
         for p in plan(_suite(("quadprog", "daqp"), replay=[table]))
@@ -214,7 +179,7 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
 
 def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
     assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
-    table = RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
+    table = suite.RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
     planned = plan(_suite(recorded=[table]), beside=tmp_path)
     assert [p.refused for p in planned] == ["", NO_MODEL]
     one = np.ones(1)
@@ -222,7 +187,7 @@ def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
     vectors = np.ones((2, 1))
     sequence = QPSequence("bare", base, vectors, -vectors, vectors)
     with pytest.raises(InputError, match=r"sequence bare.*'sparse'"):
-        replay(sequence, workspace().inner, repeats=1, formulation="sparse")
+        replay(sequence, workspace(), repeats=1, formulation="sparse")
 
 
 def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,8 +206,8 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.slow
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
-    suite = tmp_path / "three.toml"
-    suite.write_text(
+    path = tmp_path / "three.toml"
+    path.write_text(
         """
 title = "Three formulations"
 solvers = ["clarabel", "quadprog"]
@@ -264,7 +229,7 @@ formulations = ["condensed_box", "sparse"]
 """,
         encoding="utf-8",
     )
-    out = run_campaign(suite, tmp_path / "out")
+    out = run_campaign(path, tmp_path / "out")
     runs = load_results(out).runs
     clarabel = runs[runs["solver"] == "clarabel"]
     assert (clarabel["outcome"] == "finished").all() and len(clarabel) == 8
@@ -277,8 +242,8 @@ formulations = ["condensed_box", "sparse"]
 
 
 def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
-    _, suite = load_suite("formulations")
-    cells = [planned.cell for planned in plan(suite)]
+    _, shipped = suite.load_suite("formulations")
+    cells = [planned.cell for planned in plan(shipped)]
     assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}
     assert len({cell.to_json() for cell in cells}) == len(cells)
 
@@ -313,7 +278,6 @@ STEPS = {"hpipm": 5}
 def test_exact_solvers_meet_the_bar(
     solver: str, scenario: str, horizons: tuple[int, int], steps: int
 ) -> None:
-    """Every answer is claimed, and each of its moves is that of the certified optimum."""
     case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
     condensed = record_sequence(case)
     sequence, form = in_replay("sparse", condensed)

@@ -32,7 +32,6 @@ def exact(name: str) -> ExactLoop:
 
 
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
-    """The metrics of a loop."""
     builder = QPBuilder(scenario)
     u = scenario.controller.applied(loop.tau, loop.thrust)
     of_ship = control_metrics(scenario, loop.state, u, builder.reference, loop)
@@ -51,7 +50,6 @@ def at_rate(found: dict[str, float]) -> float:
 
 
 def without_answer(loop: ExactLoop) -> int:
-    """Steps whose QP is proven to have no feasible point."""
     return int(np.isnan(loop.z).any(axis=1).sum())
 
 
@@ -314,7 +312,6 @@ KINDS += ["thrusters_turning", "thrusters_cascade"]
 
 
 def assert_same(one: Optimum, other: Optimum) -> None:
-    """Every number of two optima, and what they prove."""
     for part in fields(Optimum):
         np.testing.assert_array_equal(getattr(one, part.name), getattr(other, part.name))
 

@@ -49,7 +49,6 @@ def run(
 
 
 def asked(log: RawLog) -> list[int]:
-    """The steps in which a computation began."""
     return np.flatnonzero(log.times[0, :, 3] >= 0).tolist()
 
 
@@ -126,7 +125,6 @@ def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(scenario
 def test_the_instant_of_arrival(
     scenario: Scenario, samples: float, budget: float, second: int
 ) -> None:
-    """In time up to the budget; beyond it at the first sample at or after t_k + L."""
     log = run(scenario, Planned(lambda i: (samples, 1e6)[i]), budget=budget)
     assert asked(log) == [0, second]
     assert (surge_steps(log, scenario)[0] == 0.5) == (samples <= budget)

@@ -12,19 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
-from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import QPBuilder
-from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
-from tests.bench.run.loops import run_loop
+from tests.bench.run.loops import limit_violations, run_loop
 
 AFT = {"kind": "azimuth", "x_m": -32.0, "thrust_kN": 190.0, "rise_s": 8.0}
 THRUSTERS: list[dict[str, Any]] = [
@@ -131,8 +128,7 @@ def test_every_form_steers_as_the_exact_loop_does(
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
-    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
 
@@ -141,8 +137,7 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     lost = scenario(80, faults=[{"at_s": 6.0, "lost": ["port", "tunnel"]}])
     log = steered_by("daqp", lost)
     assert not log.flags.any()
-    metrics = thruster_metrics(lost, log.thrust, QPBuilder(lost).thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(lost, log) == 0.0
     gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
     assert np.abs(log.thrust[19, [0, 1]]).max() > 1e4
@@ -157,19 +152,12 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
     log, complete = run_loop(case, workspace, fallback)
     assert complete
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
 
 
-SHIP = ThrusterSet(
-    tuple(
-        Thruster(
-            t["name"], t["kind"], t["x_m"], t.get("y_m", 0.0), 1e3 * t["thrust_kN"], t["rise_s"]
-        )
-        for t in THRUSTERS
-    )
-)
-ROWS = thruster_rows(SHIP, 8)
+COMMANDED = scenario().controller.commanded
+assert COMMANDED is not None
+SHIP, ROWS = COMMANDED.thrusters, COMMANDED.rows
 STEP = SHIP.step_max(0.3)
 LIMIT = scenario().controller.move_limit()
 

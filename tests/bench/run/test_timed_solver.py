@@ -219,7 +219,6 @@ def _work_ms(ms: float) -> None:
 
 @pytest.fixture
 def one_core() -> Any:
-    """This process alone with its children on one core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})
     yield
@@ -257,7 +256,6 @@ def test_sleep_is_no_wait_for_the_core() -> None:
 
 
 def test_a_thread_has_its_own() -> None:
-    """All solvers of a thread share one reading, and no two threads do."""
     others: list[RunDelay] = []
     thread = threading.Thread(target=lambda: others.append(run_delay()))
     thread.start()

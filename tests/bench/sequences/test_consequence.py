@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
-from dpbench import load_results, load_scenario, run_campaign
+from dpbench import load_scenario
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
@@ -37,7 +37,6 @@ assert RATOWNIK is not None
 
 
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
-    """The QP of one force after the loss of a group."""
     rows = thruster_rows(thrusters, SIDES)
     low, high, _ = rows.without(set(thrusters.groups[group]))
     allocation = LossAllocation(thrusters, rows)
@@ -199,44 +198,6 @@ def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
         plan(suite_of("paper"))
     with pytest.raises(InputError, match="units"):
         plan(suite_of(units=["si"]))
-
-
-SUITE = """
-title = "Before and after the loss of a switchboard"
-baseline_law = false
-rounds = 1
-warmup_steps = 2
-cell_limit_s = 60.0
-
-[[replay]]
-scenario = "thrusters_loss"
-consequence = true
-first = 296
-steps = 8
-routes = ["native"]
-policies = ["reuse"]
-"""
-
-
-@pytest.mark.slow
-def test_a_suite_runs_and_resumes_it(tmp_path: Path) -> None:
-    """Each group's optimum or proof stands in its rows; nothing runs twice."""
-    path = tmp_path / "loss.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    out = run_campaign(path, tmp_path / "out", solvers=["quadprog", "piqp"])
-    runs = load_results(out).runs
-    assert (runs["outcome"] == "finished").all() and len(runs) == 6
-    assert runs["N_p"].isna().all() and (runs["n"] == 8).all()
-    assert set(runs["scenario"]) == {"thrusters_loss"}
-    empty = runs.groupby("sequence")["infeasible_steps"].unique().map(set)
-    wanted = {"board A": {0}, "board B": {4}, "bow azimuth": {4}}
-    assert {key: empty[f"thrusters_loss[296:304], {key} lost"] for key in wanted} == wanted
-    assert (runs["true_share"] == 1.0).all()
-    steps = load_results(out).steps
-    np.testing.assert_allclose(sorted(set(steps["t_s"])), 0.3 * np.arange(296, 304))
-    written = sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
-    run_campaign(path, out, solvers=["quadprog", "piqp"])
-    assert written == sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
 
 
 def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:

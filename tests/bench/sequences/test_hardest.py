@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench import load_results, run_campaign
-from dpbench.analysis.records.records import Records
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
@@ -17,7 +15,7 @@ from dpbench.bench.record.qp_source import HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.sequences.loop_sequences import (
     active_limits,
-    first_of_hardest,
+    find_hardest_window,
     hardest_window,
     hardness,
 )
@@ -30,7 +28,6 @@ NO_OPTIMUM = np.inf
 
 
 def optimum(y: list[float], y_box: list[float], bound: float = 0.0) -> Optimum:
-    """An optimum of which only the multipliers matter."""
     kind = "linear" if np.isfinite(bound) else "infeasible"
     return Optimum(np.zeros(len(y_box)), np.array(y), np.array(y_box), bound, kind)
 
@@ -81,20 +78,18 @@ def test_the_window_holds_the_hardest_step_and_most_hardness(
 
 
 def test_the_window_is_chosen_within_its_stretch() -> None:
-    assert first_of_hardest(TABLE, 0, 6, 2) == 3
-    assert first_of_hardest(TABLE, 0, 4, 2) == 2
-    assert first_of_hardest(TABLE, 5, 1, 1) == 5
-    assert first_of_hardest(TABLE[:4], 0, 4, 2) == first_of_hardest(TABLE, 0, 4, 2)
+    assert find_hardest_window(TABLE, 0, 6, 2) == 3
+    assert find_hardest_window(TABLE, 0, 4, 2) == 2
+    assert find_hardest_window(TABLE, 5, 1, 1) == 5
+    assert find_hardest_window(TABLE[:4], 0, 4, 2) == find_hardest_window(TABLE, 0, 4, 2)
 
 
 def suite_of(**table: object) -> SuiteFile:
-    """A suite with one replay."""
     replay = ReplayTable.model_validate({"scenario": "turn"} | table)
     return SuiteFile(title="one", solvers=["daqp"], baseline_law=False, replay=[replay])
 
 
 def cell(**table: object) -> Cell:
-    """The one cell of such a suite."""
     (planned,) = plan(suite_of(**table))
     return planned.cell
 
@@ -163,48 +158,6 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     kinds = [o.kind for o in replayed(window, tmp_path / "loop.npz").optima or []]
     assert kinds.count("infeasible") >= 1
     assert replayed(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400
-
-
-SUITE = """
-title = "Windows"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
-[[replay]]
-scenario = "rough"
-first = 100
-steps = 40
-
-[[replay]]
-scenario = "rough"
-first = 100
-steps = 40
-hardest = 8
-"""
-
-
-@pytest.mark.slow
-def test_a_campaign_records_where_the_window_begins(tmp_path: Path) -> None:
-    """Its steps are those of the whole replay from `first_sample` on, certified."""
-    suite = tmp_path / "windows.toml"
-    suite.write_text(SUITE, encoding="utf-8")
-    records = Records(load_results(run_campaign(suite, tmp_path / "out")))
-    whole, window = records.select(mode="replay")
-    assert (whole.window_of, whole.first_step) == (0, 100)
-    assert window.window_of == 40
-    assert window.scenario == "rough"
-    assert window.horizons == whole.horizons
-    assert window.steps_done == 8
-    assert window.uncertified == 0
-    at = window.first_step - 100
-    assert window.first_sample == window.first_step
-    columns = ("t_s", "n_active", "iterations", "error_move")
-    one, all_of = (records.counting_steps(run, columns) for run in (window, whole))
-    for name in ("t_s", "n_active"):
-        np.testing.assert_array_equal(one[name], all_of[name][at : at + 8])
 
 
 def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:

@@ -68,7 +68,6 @@ def qpbenchmark() -> Any:
 @pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")
 @pytest.mark.parametrize("kind", ["paper_tight", "mixed"])
 def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path) -> None:
-    """The same answers, judged there in its form and here in ours."""
     tight = kind == "paper_tight"
     recorded = record(load_scenario(kind), steps=24, every=3) if tight else mixed()
     _, code = save_qpbenchmark(tmp_path / "dp_set.py", recorded)

@@ -124,7 +124,6 @@ def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
 def test_a_bad_problem_is_one_line(
     change: Callable[[Arrays], Arrays], parts: list[str], folder: Path
 ) -> None:
-    """The line names the file among its neighbours, the array, what was found and is allowed."""
     with np.load(folder / "step_10.npz", allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
     np.savez(folder / "step_10.npz", **change(arrays))
@@ -170,6 +169,9 @@ def test_our_own_file_runs_from_the_command_line(
     np.testing.assert_allclose(sorted(set(results.steps["t_s"])), sample_s * np.arange(0, 13, 4))
     cell = json.loads(results.runs["cell"].iloc[0])
     assert cell["source"]["path"] == "turn.npz"
+    assert main(["run", "--sequence", "papr-60-10"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "e.g. paper-60-10" in said
 
 
 @pytest.mark.slow

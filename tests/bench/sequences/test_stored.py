@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import quadprog
 
-from dpbench import InputError, load_results, load_sequence
+from dpbench import InputError, load_sequence
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile
 from dpbench.bench.record.npz import write_npz
@@ -198,20 +198,6 @@ def test_a_lie_is_one_line(
     assert "false.npz" in said.err and place in said.err
 
 
-@pytest.mark.slow
-def test_a_stored_name_runs_from_an_empty_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "--sequence", "paper-200-40", "--solver", "daqp"]) == 0
-    results = load_results("results/sequence-paper-200-40-part")
-    assert (results.runs["error_move_max"] < 1e-9).all()
-    assert all('"path": "paper-200-40"' in cell for cell in results.runs["cell"])
-    assert main(["run", "--sequence", "papr-60-10"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "e.g. paper-60-10" in said
-
-
 def test_a_suite_names_stored_sequences() -> None:
     """`[[recorded]]` with a name; a folder beside the suite that has the name is not meant."""
     tables = [RecordedTable(sequence=name) for name in SMALL]
@@ -223,7 +209,6 @@ def test_a_suite_names_stored_sequences() -> None:
 
 @pytest.mark.slow
 def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
-    """Name, n, m, K and active share, each from its file."""
     assert main(["list", "sequences"]) == 0
     # At 80 columns a cell may go on in a line without a name.
     lines = [line for line in capsys.readouterr().out.splitlines()[2:] if line[:1].isalpha()]
@@ -235,7 +220,6 @@ def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_names_of_sequences_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stored name is meant before a file or folder; its scenario is that of its horizons."""
     monkeypatch.chdir(tmp_path)
     Path("turn-60-10").mkdir()
     sequence = load_sequence("turn-60-10")

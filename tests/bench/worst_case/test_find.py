@@ -107,7 +107,6 @@ def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
 
 
 def test_the_seed_decides(tmp_path: Path) -> None:
-    """The same seed writes the same bytes, another one another case."""
     files = [tmp_path / f"{i}.npz" for i in range(3)]
     for path, seed in zip(files, (1, 1, 2), strict=True):
         find_worst_case("daqp", route="native", budget=9, steps=8, seed=seed, out=path)
