@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 
 import numpy as np
@@ -81,8 +81,7 @@ class Frontier:
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
-        self._pieces: dict[frozenset[int], list[list[Piece]]] = {}
-        self._choices: dict[frozenset[int], list[Combination]] = {}
+        self.pieces_of, self.combinations = cache(self._pieces_of), cache(self._combinations)
         # One wind is asked with many choices of pieces in a row.
         self.weather = lru_cache(maxsize=64)(self._weather)
 
@@ -104,40 +103,33 @@ class Frontier:
         ]
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
-    def pieces_of(self, case: Case) -> list[list[Piece]]:
+    def _pieces_of(self, case: Case) -> list[list[Piece]]:
         """Return the convex pieces of each thruster (p,); one without any is lost."""
-        if case.lost not in self._pieces:
-            count = len(self.thrusters.thrusters)
-            self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(count)]
-        return self._pieces[case.lost]
-
-    def _pieces_of(self, i: int, case: Case) -> list[Piece]:
         every = self.thrusters.thrusters
-        thruster = every[i]
-        if thruster.kind != "azimuth" or i in case.lost:
-            return [Piece()]
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
         step = CHORD_RAD if self.sides is None else 2.0 * math.pi / self.sides
-        return pieces(
-            thruster.sector_rad,
-            losses.forbidden_zones(thruster, working),
-            losses.dead_losses(thruster, dead),
-            losses.skeg_losses(thruster, self.hull),
-            step,
-        )
+        return [
+            [Piece()]
+            if thruster.kind != "azimuth" or i in case.lost
+            else pieces(
+                thruster.sector_rad,
+                losses.forbidden_zones(thruster, working),
+                losses.dead_losses(thruster, dead),
+                losses.skeg_losses(thruster, self.hull),
+                step,
+            )
+            for i, thruster in enumerate(every)
+        ]
 
     def lost(self, case: Case) -> frozenset[int]:
         """Return the lost thrusters, and those that may not push anywhere."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def combinations(self, case: Case) -> list[Combination]:
+    def _combinations(self, case: Case) -> list[Combination]:
         """Return every choice of a piece for each thruster."""
-        if case.lost not in self._choices:
-            parts = [some or [Piece()] for some in self.pieces_of(case)]
-            self._choices[case.lost] = list(product(*parts))
-        return self._choices[case.lost]
+        return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
 
     def use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
         """Return the least utilisation with one choice of pieces."""
@@ -156,21 +148,14 @@ class Frontier:
         """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
-            holding = self._first_holding_choice(case, from_rad, wind_mps, choices)
+            uses = (self.use(case, from_rad, wind_mps, chosen) for chosen in choices)
+            holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
             if holding is None:
                 return Held(self._largest_wind(case, from_rad, (low, wind_mps), choices), number)
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
         return Held(low, number)
-
-    def _first_holding_choice(
-        self, case: Case, from_rad: float, wind_mps: float, choices: list[Combination]
-    ) -> int | None:
-        for i, chosen in enumerate(choices):
-            if self.use(case, from_rad, wind_mps, chosen) <= 1.0:
-                return i
-        return None
 
     def _largest_wind(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]

@@ -77,7 +77,7 @@ def run_row(
         return row
     counts = steps["counts"]
     if not counts.any():
-        # It ended within its warm-up, which says nothing about it.
+        # The warm-up does not count.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
     judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)

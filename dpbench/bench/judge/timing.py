@@ -47,7 +47,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
     best = np.nanmin(by_round, axis=0)
     return timing | {
         "rounds": len(rounds),
-        # The warm-up is never run again and never counts, so it is not said to be disturbed either.
+        # The warm-up is never run again and never counts, so it is not counted as disturbed.
         "disturbed_rounds": int((find_disturbed_rounds(evaluated.columns) != WARM_UP).sum()),
         "counting_disturbed": len(np.unique(counting["repeat"][counting["disturbed"]])),
         "reference_kernel_ns": reference_kernel_median(evaluated.columns),

@@ -58,7 +58,17 @@ def closed_loop_setup(
     formulated = loop_formulation(cell.formulation, builder, base_problem(builder.condensed))
     last = hung[-1] if hung else None
     twice = [k for k in hung if hung.count(k) > 1]
-    solver = _build_solver(workspace, formulated, log, last, limit_ns)
+
+    def build_solver(
+        workspace: Workspace, form: Box, answers: AnswerLog, *, skips: bool = True
+    ) -> TimedSolver:
+        if last is None:
+            return TimedSolver(workspace, form, clock)
+        return ResumedSolver(
+            workspace, form, clock, answers=answers, at=last, skips=skips, limit_ns=limit_ns
+        )
+
+    solver = build_solver(workspace, formulated, log)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
@@ -72,29 +82,12 @@ def closed_loop_setup(
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
         second = Box(builder.allocation.base())
-        setup.allocating = _build_solver(
-            workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
+        setup.allocating = build_solver(
+            workspace.another(), second, log.allocation, skips=last in twice
         )
-        # What a library says of a failure counts whichever of the two QPs it failed on.
+        # Failures are counted together, whichever of the two QPs they occur in.
         setup.allocating.details = solver.details
     return setup
-
-
-def _build_solver(
-    workspace: Workspace,
-    formulated: Box,
-    answers: AnswerLog,
-    hung: int | None,
-    limit_ns: int,
-    *,
-    skips: bool = True,
-) -> TimedSolver:
-    """Return the solver of a loop, or one that resumes after the step `hung`."""
-    if hung is None:
-        return TimedSolver(workspace, formulated, clock)
-    return ResumedSolver(
-        workspace, formulated, clock, answers=answers, at=hung, skips=skips, limit_ns=limit_ns
-    )
 
 
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:

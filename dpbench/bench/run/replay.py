@@ -119,7 +119,7 @@ class ReplayRun:
             if k in self._hung:
                 continue
             solver.answer(solver.formulate(self.sequence.step(k)))
-            # Whoever remembers answers has seen this step now, and its time is in no row.
+            # A solver that remembers answers has seen this step now; its time is in no row.
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()
 

@@ -112,7 +112,7 @@ def _record_source(
     if at is not None:
         return _record_step(stored, at)
     sequence = recording.thin_sequence(stored.sequence, steps, every)
-    # What the file says of its optima is not believed.
+    # The optima of a file are certified again.
     return replace(stored, sequence=sequence, optima=certified(sequence))
 
 

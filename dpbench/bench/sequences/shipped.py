@@ -74,7 +74,7 @@ class Rule:
     def record(self, steps: int | None = None) -> Recorded:
         """Record the sequence, or its beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
-        # Second QPs are of one size: nobody asks for them under other horizons than the own ones.
+        # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
         steps = steps or self.steps
         return record(scenario, horizons=horizons, steps=steps, every=self.every, part=self.part)

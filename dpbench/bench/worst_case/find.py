@@ -60,7 +60,7 @@ class WorstCase:
 
     @property
     def beats_baseline(self) -> bool:
-        """Whether it is worse than any step of the scenario itself."""
+        """Return whether it is worse than any step of the scenario itself."""
         own = self.search.baseline
         return self.worst is not None and (own is None or self.worst.objective > own.objective)
 

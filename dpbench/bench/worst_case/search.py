@@ -137,7 +137,7 @@ class Search:
         InputError : the goal is iterations and the solver counts none, or a case cannot be made.
         CertificateError : a step of the scenario itself cannot be certified.
         """
-        # A length that cannot be is said before anything runs.
+        # An impossible length is an error before anything runs.
         self._space.scenario(np.zeros(self._space.dimensions))
         self._progress.start(self._budget)
         try:
@@ -193,7 +193,7 @@ class Search:
         try:
             outcome, evaluated = self._solver_process.answer(sequence, CASE_LIMIT_S)
         except InputError as error:
-            # It ran before, so nobody's input is to blame; what was found so far is kept.
+            # The solver ran before, so the input is right; the best case so far is kept.
             self.stopped = f"stopped: {error}"
             raise _BudgetError from error
         if outcome.outcome == "lost":
