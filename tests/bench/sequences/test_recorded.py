@@ -171,7 +171,7 @@ def test_our_own_file_runs_from_the_command_line(
     assert cell["source"]["path"] == "turn.npz"
     assert main(["run", "--sequence", "papr-60-10"]) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "e.g. paper-60-10" in said
+    assert said.count("\n") == 1 and "allowed: paper-60-10" in said
 
 
 @pytest.mark.slow
