@@ -14,8 +14,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP

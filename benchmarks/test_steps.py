@@ -14,8 +14,7 @@ from dpbench.bench.plan.configurations import BASELINE_LAW
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, sequence_of
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status

@@ -1,9 +1,8 @@
 """The static allocations at the edge of what a ship holds, as a sequence of QPs.
 
 For each case and direction there are four: the two winds of the standard's table between which the
-edge lies, and the edge itself, a thousandth of the wind before and beyond. Half of them have no
-feasible point. Before the first row half of the edge stands in; beyond the last nothing is known,
-and the last four rows are taken.
+edge lies, and the edge itself, a thousandth of the wind before and beyond; half have no feasible
+point. Below the first row half of the edge is taken; beyond the last row the last four rows are.
 Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
 """
 
@@ -38,7 +37,7 @@ class Point:
 
 
 def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
-    """The points of all cases and directions, those of one direction in a row."""
+    """Return the points of all cases and directions, those of one direction in a row."""
     return [
         point
         for case in frontier.cases
@@ -48,7 +47,7 @@ def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
 
 
 def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
-    """The points of one direction, `POINTS` of them."""
+    """Return the `POINTS` points of one direction."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):
         rows = range(number + 1 - POINTS, number + 1)
@@ -64,12 +63,12 @@ def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
 
 
 def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequence:
-    """The QPs of the points, in their order; `frontier` has polygons.
+    """Return the QPs of the points, in their order; `frontier` has polygons.
 
     P is constant; rows change with the pieces that are chosen.
     """
     assert frontier.sides is not None, "a QP has polygons"
-    allocation = _allocation(frontier, {point.case for point in points}, frontier.sides)
+    allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
     problems = []
     for point in points:
         weather = frontier.weather(point.from_rad, point.wind_mps)
@@ -82,8 +81,8 @@ def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequen
     return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
 
 
-def _allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
-    """The QPs with room for the pieces of every case."""
+def _build_allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
+    """Return the allocation with room for the pieces of every case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)
     pieces = [[piece for of_case in every for piece in of_case[i]] for i in range(count)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 
 import numpy as np
@@ -13,15 +13,9 @@ from scipy.optimize import brentq
 from dpbench.arrays import Vector
 from dpbench.bench.capability.utilisation import Utilisation
 from dpbench.errors import InputError
+from dpbench.ship.capability import losses
 from dpbench.ship.capability.conditions import DP_CONDITIONS, condition_of_wind
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
-from dpbench.ship.capability.losses import (
-    MISCELLANEOUS,
-    dead_losses,
-    forbidden_zones,
-    skeg_losses,
-    vented_share,
-)
 from dpbench.ship.capability.shapes import Piece, pieces
 from dpbench.ship.vessel import Vessel
 
@@ -38,7 +32,7 @@ Combination = tuple[Piece, ...]
 
 @dataclass(frozen=True)
 class Case:
-    """What has failed: the numbers of the thrusters that give nothing."""
+    """A failure: the numbers of the thrusters that give nothing."""
 
     name: str
     lost: frozenset[int]
@@ -46,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Held:
-    """What is held from one direction: the largest wind [m/s], and the DP capability number.
+    """The largest wind [m/s] held from one direction, and the DP capability number.
 
     At number 11 the wind is that of the standard's last row: nothing is known beyond.
     """
@@ -64,16 +58,12 @@ class Weather:
 
 
 class Frontier:
-    """How far the thrusters of a ship reach.
+    """Reach of the thrusters of a ship.
 
     Parameters
     ----------
     vessel : with thrusters and the hull of `[capability]`.
     sides : of the polygons in place of circles, even and at least 4; None for circles.
-
-    Attributes
-    ----------
-    weather : of a direction [rad] and a wind [m/s].
 
     Raises
     ------
@@ -91,8 +81,7 @@ class Frontier:
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
-        self._pieces: dict[frozenset[int], list[list[Piece]]] = {}
-        self._choices: dict[frozenset[int], list[Combination]] = {}
+        self.pieces_of, self.combinations = cache(self._pieces_of), cache(self._combinations)
         # One wind is asked with many choices of pieces in a row.
         self.weather = lru_cache(maxsize=64)(self._weather)
 
@@ -109,53 +98,46 @@ class Frontier:
         condition = condition_of_wind(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
-            vented_share(thruster, self.hull, condition, from_rad)
+            losses.vented_share(thruster, self.hull, condition, from_rad)
             for thruster in self.thrusters.thrusters
         ]
-        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), MISCELLANEOUS * np.array(vented))
+        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
-    def pieces_of(self, case: Case) -> list[list[Piece]]:
-        """The convex pieces of each thruster (p,); one without any is as good as lost."""
-        if case.lost not in self._pieces:
-            count = len(self.thrusters.thrusters)
-            self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(count)]
-        return self._pieces[case.lost]
-
-    def _pieces_of(self, i: int, case: Case) -> list[Piece]:
+    def _pieces_of(self, case: Case) -> list[list[Piece]]:
+        """Return the convex pieces of each thruster (p,); one without any is lost."""
         every = self.thrusters.thrusters
-        thruster = every[i]
-        if thruster.kind != "azimuth" or i in case.lost:
-            return [Piece()]
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
         step = CHORD_RAD if self.sides is None else 2.0 * math.pi / self.sides
-        return pieces(
-            thruster.sector_rad,
-            forbidden_zones(thruster, working),
-            dead_losses(thruster, dead),
-            skeg_losses(thruster, self.hull),
-            step,
-        )
+        return [
+            [Piece()]
+            if thruster.kind != "azimuth" or i in case.lost
+            else pieces(
+                thruster.sector_rad,
+                losses.forbidden_zones(thruster, working),
+                losses.dead_losses(thruster, dead),
+                losses.skeg_losses(thruster, self.hull),
+                step,
+            )
+            for i, thruster in enumerate(every)
+        ]
 
     def lost(self, case: Case) -> frozenset[int]:
-        """Those lost, and those that may not push anywhere."""
+        """Return the lost thrusters, and those that may not push anywhere."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def combinations(self, case: Case) -> list[Combination]:
-        """Every choice of a piece for each thruster."""
-        if case.lost not in self._choices:
-            parts = [some or [Piece()] for some in self.pieces_of(case)]
-            self._choices[case.lost] = list(product(*parts))
-        return self._choices[case.lost]
+    def _combinations(self, case: Case) -> list[Combination]:
+        """Return every choice of a piece for each thruster."""
+        return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
 
     def use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
-        """The least utilisation with one choice of pieces."""
+        """Return the least utilisation with one choice of pieces."""
         weather = self.weather(from_rad, wind_mps)
         return self._utilisation.least(weather.load, weather.shares, chosen, self.lost(case))
 
     def best(self, case: Case, from_rad: float, wind_mps: float) -> tuple[float, Combination]:
-        """The least utilisation of all choices, and the choice."""
+        """Return the least utilisation of all choices, and the choice."""
         uses = [
             (self.use(case, from_rad, wind_mps, chosen), chosen)
             for chosen in self.combinations(case)
@@ -163,34 +145,22 @@ class Frontier:
         return min(uses, key=lambda use: use[0])
 
     def held(self, case: Case, from_rad: float) -> Held:
-        """The largest wind that is balanced, with all winds of the table below it."""
+        """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
-            holding = self._first_that_holds(case, from_rad, wind_mps, choices)
+            uses = (self.use(case, from_rad, wind_mps, chosen) for chosen in choices)
+            holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
             if holding is None:
-                return Held(self._largest(case, from_rad, (low, wind_mps), choices), number)
+                return Held(self._largest_wind(case, from_rad, (low, wind_mps), choices), number)
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
         return Held(low, number)
 
-    def _first_that_holds(
-        self, case: Case, from_rad: float, wind_mps: float, choices: list[Combination]
-    ) -> int | None:
-        for i, chosen in enumerate(choices):
-            if self.use(case, from_rad, wind_mps, chosen) <= 1.0:
-                return i
-        return None
-
-    def _largest(
-        self,
-        case: Case,
-        from_rad: float,
-        between: tuple[float, float],
-        choices: list[Combination],
+    def _largest_wind(
+        self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
-        """Where the best choice reaches full thrust, between a wind that is held and one that is
-        not; below `low` each wind is held by some choice."""
+        """Return the wind at which the best choice reaches full thrust."""
         low, high = between
         for chosen in choices:
 

@@ -12,19 +12,17 @@ from dpbench.ship.capability.conditions import DP_CONDITIONS
 BOW_DEG = 30.0
 """The sector to either side of the bow that the notation names (2.5.1)."""
 FROM_DEG = tuple(360.0 * k / DIRECTIONS for k in range(DIRECTIONS))
-"""Where wind, waves and current come from, clockwise from ahead."""
+"""Directions of wind, waves and current, clockwise from ahead."""
 
 
 @dataclass(frozen=True)
 class Capability:
-    """What a ship holds from each of `FROM_DEG`.
+    """The winds that a ship holds from each of `FROM_DEG`.
 
     Parameters
     ----------
-    vessel : its name.
-    sides : of the polygons that stand for circles; None for circles.
-    held : by case: intact first, then after the loss of each failure group.
-    lost : names of the thrusters that each case lacks.
+    sides : of the polygons in place of circles; None for circles.
+    held, lost : by case, intact first: what is held, and the thrusters that the case lacks.
     assumed : keys of the hull that its file leaves out.
     """
 
@@ -44,9 +42,8 @@ class Capability:
 
     @property
     def numbers(self) -> tuple[int, int, int, int]:
-        """The least DP capability number: intact near the bow and all round, and the same after
-        the worst failure."""
-        return (*_least(self.held[INTACT]), *_least(self.worst_failure))
+        """Least numbers: intact near the bow, all round, and after the worst failure."""
+        return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
 
     @property
     def notation(self) -> str:
@@ -54,8 +51,8 @@ class Capability:
         return f"DP capability-L1({', '.join(map(str, self.numbers))})"
 
 
-def _least(held: tuple[Held, ...]) -> tuple[int, int]:
-    """The least number within `BOW_DEG` of the bow, and all round."""
+def _least_numbers(held: tuple[Held, ...]) -> tuple[int, int]:
+    """Return the least number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number
         for at, from_deg in zip(held, FROM_DEG, strict=True)
@@ -65,12 +62,7 @@ def _least(held: tuple[Held, ...]) -> tuple[int, int]:
 
 
 def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capability:
-    """The capability within a frontier.
-
-    Raises
-    ------
-    ArithmeticError : the cone solver fails.
-    """
+    """Return the capability within a frontier; ArithmeticError if the cone solver fails."""
     progress, cases = progress or Silent(), frontier.cases
     progress.start(len(cases) * DIRECTIONS)
     held: dict[str, tuple[Held, ...]] = {}
@@ -86,5 +78,5 @@ def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capab
 
 
 def holds_most(held: Held) -> bool:
-    """Whether the standard has no weather beyond what is held."""
+    """Return whether the standard has no weather beyond what is held."""
     return held.number == max(DP_CONDITIONS)

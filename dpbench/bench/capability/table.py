@@ -1,7 +1,6 @@
-"""The capability plots of a suite as a table of its result folder, `capability.parquet`.
+"""The capability plots of a suite as the table `capability.parquet` of its result folder.
 
-A row is a QP at the edge, in the order of the sequence that solvers replay; four rows or fewer are
-a direction.
+A row is a QP at the edge, in the order of the sequence that solvers replay.
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ COLUMNS = {
     "edge_mps": "float64",
     "number": "int64",
 }
-"""Name of the sequence and step in it; ship, and sides of its polygons; what has failed, and the
-thrusters lost with it; where wind, waves and current come from, the wind of the QP and whether it
-is held; the largest wind held from there, and the DP capability number."""
+"""Sequence and step in it; ship, and sides of its polygons; failure, and thrusters lost with it;
+direction of the weather; wind of the QP and whether it is held; largest wind held, and number.
+"""
 
 
-def table_of(
+def capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
-    """The columns of `COLUMNS`, as JSON has them, of one plot.
+    """Return the columns of `COLUMNS`, as JSON has them, of one plot.
 
     Parameters
     ----------
@@ -71,12 +70,7 @@ def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
 
 
 def load_capability(folder: Path) -> pd.DataFrame | None:
-    """The plots of a result folder, columns `COLUMNS`; None where there are none.
-
-    Raises
-    ------
-    ResultsError : naming the file, when it is damaged.
-    """
+    """Return the plots of a result folder, None without any; ResultsError if damaged."""
     path = folder / CAPABILITY_FILE
     if not path.exists():
         return None

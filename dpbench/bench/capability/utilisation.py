@@ -2,8 +2,8 @@
 
     min u   subject to   T_e f = −load,   |f_i| ≤ u T_i,   f_i within u times its piece
 
-u ≤ 1 says that the load is balanced. Circles are second-order cones, with nothing given away;
-with a number of sides they are the polygons of the QPs.
+The load is balanced where u ≤ 1. Circles are second-order cones; with a number of sides they are
+the polygons of the QPs.
 """
 
 from __future__ import annotations
@@ -27,18 +27,12 @@ _EMPTY = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 @cache
 def _clarabel() -> Any:
-    """The library, which ships no types; processes of a campaign are forked without any solver's
-    library."""
+    """Import the library, which ships no types; forked processes start without it."""
     return import_module("clarabel")
 
 
 class Utilisation:
-    """Cone programs of one ship.
-
-    Parameters
-    ----------
-    sides : of the polygons in place of circles, even; None for circles.
-    """
+    """Cone programs of one ship; even `sides` of polygons, or None for circles."""
 
     def __init__(self, thrusters: ThrusterSet, sides: int | None = None) -> None:
         self._thrusters, self._sides = thrusters, sides
@@ -52,12 +46,11 @@ class Utilisation:
     def least(
         self, load: Vector, shares: Vector, chosen: tuple[Piece, ...], lost: frozenset[int]
     ) -> float:
-        """u for a load (3,) [N, N, N·m]; inf where no amount of thrust balances it.
+        """Return u for a load (3,) [N, N, N·m]; inf where no amount of thrust balances it.
 
         Parameters
         ----------
-        shares : (p,) effective over nominal thrust; chosen : (p,) the piece of each thruster, which
-            are kept as long as this object lives.
+        shares : (p,) effective over nominal thrust; chosen : (p,) pieces, kept by this object.
         """
         key = lost, tuple(map(id, chosen))
         if key not in self._cones:
@@ -79,9 +72,9 @@ class Utilisation:
 
 
 class _Cones:
-    """What the programs of one choice of pieces share: min x_u with b − A x in the cones.
+    """Common parts of the programs of one choice of pieces: min x_u with b − A x in the cones.
 
-    x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, which is all of
+    x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, the only part of
     it that changes.
     """
 
@@ -113,13 +106,13 @@ class _Cones:
         self._of_balance = self._matrix.indices < AXES
 
     def matrix(self, balance: Matrix) -> csc_matrix:
-        """A with the balance (3, entries); the same object each time."""
+        """Return A with the balance (3, entries); the same object each time."""
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
 
 
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
-    """Rows (r, components + 1) over (f_i/T_i, u) and the cones they lie in."""
+    """Return rows (r, components + 1) over (f_i/T_i, u) and their cones."""
     if thruster.kind != "azimuth":
         return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [_clarabel().NonnegativeConeT(2)]
     if sides is None:

@@ -1,18 +1,14 @@
-"""Does a solver remember the answers of earlier rounds? Then its replay times are of no solver.
+"""Detection of solvers that remember the answers of earlier rounds.
 
-All rounds of a replay are the same QPs, so a table of answers, kept by the bytes of q, l, u or by
-the number of the step, answers every round but the first in no time. What it cannot do is answer a
-step that it sees for the first time: the time of each first visit is kept apart, the one of a round
-that is run again included, and held against the shortest of the later visits of the same step,
-which is what the tables print. First visits are those of round 1 beyond the warm-up, so that
-importing, compiling and first touching of memory are over; where there are too few, those of the
-warm-up.
+All rounds of a replay are the same QPs, so a table of answers answers every round but the first in
+no time. It cannot answer a step that it sees for the first time: the time of each first visit is
+compared with the shortest of the later visits of that step, which is what the tables print. First
+visits are those of round 1 beyond the warm-up, where importing and compiling are over; where there
+are too few, those of the warm-up. A table that outlives the process is found by the closed loop of
+its configuration, whose QPs it has not seen.
 
-A table that outlives the process knows the replay from its first round. It does not know the ship
-that the same configuration steers itself: the closed loop is the second witness.
-
-Moving q a little in each round instead would not cure it: a table may round its keys or count the
-steps, and identical bytes are what repeatability and paired comparisons rest on.
+Moving q a little in each round instead would not help: a table may round its keys or count the
+steps, and repeatability and paired comparisons rest on identical bytes.
 """
 
 from __future__ import annotations
@@ -26,36 +22,37 @@ from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
 
 FEWEST_VISITS = 20
-"""First visits, each with a later one, below which nothing is said."""
+"""First visits, each with a later one, below which the figures are NaN."""
 MOST_WARMING = 3.0
-"""Largest median ratio of first to later visits that is put down to warming and to the machine.
+"""Largest median ratio of first to later visits that warming and the machine explain.
 
-Of 173 honest replays of `paper` and `rough`, all solvers, routes and policies, on two cores under a
-load of three to eight, the largest was 2.15 and the median 1.00; a dictionary in place of 2 ms had
-83. A memory that gains less than this factor is not told from noise.
+Of 173 honest replays of `paper` and `rough` under a load of three to eight the largest was 2.15 and
+the median 1.00; a dictionary in place of 2 ms had 83.
 """
 SLOW_VISIT = 4.0
 """A visit that takes so many times as long as the shortest other one is slow."""
 MOST_SLOW_FIRST = 0.05
-"""Largest share of slow first visits, beyond twice that of any later round, that is put down to the
-machine: of 26 honest replays under a load of five to six the largest excess was below 0."""
+"""Largest share of slow first visits, beyond twice that of later rounds, put down to the machine.
+
+Of 26 honest replays under a load of five to six the largest excess was below 0.
+"""
 MOST_LOOP = 10.0
-"""Largest ratio of a closed loop's median step to that of the replay that is put down to caches and
-to other QPs: a replay may be a window of the loop. 15 honest pairs had 0.5 to 1.3, the dictionary
-124.
+"""Largest ratio of a closed loop's median step to the replay's that caches and other QPs explain.
+
+15 honest pairs had 0.5 to 1.3, the dictionary 124.
 """
 MOST_LOOP_TAIL = 15.0
-"""The same of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
+"""Largest such ratio of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
 
 
 def memory_metrics(log: RawLog) -> dict[str, float]:
-    """Return what first visits show; NaN with fewer than `FEWEST_VISITS` pairs of visits.
+    """Return the figures of first visits; NaN with fewer than `FEWEST_VISITS` pairs of visits.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
     one, less the factor by which the reference kernel was slower around the first visits than at
     its best. `first_visit_excess` is the share of slow first visits less twice that of slow visits
-    in any later round, and less what the switches of the first visits' round explain: a memory of
-    hard steps alone leaves the median as it is.
+    in any later round, and less what the switches of the first visits' round explain: it finds a
+    memory of hard steps alone, which leaves the median as it is.
     """
     total = step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
@@ -67,59 +64,44 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
         shortest = later.min(axis=0, initial=np.inf)
         pairs = group & (log.first_ns > 0) & np.isfinite(shortest)
         if np.count_nonzero(pairs) >= FEWEST_VISITS:
-            slower = _slower(log, r)
-            ratio = float(np.median(log.first_ns[pairs] / shortest[pairs]))
+            slower = _machine_factor(log, r)
+            ratio = float(np.median(log.first_ns[pairs] / shortest[pairs])) / slower
             first, later = log.first_ns[pairs].astype(np.float64), later[:, pairs]
-            return {
-                "first_visit_ratio": ratio / slower,
-                "first_visit_excess": _slow_excess(first, later, slower, _explained(log, r, later)),
-            }
+            excess = _slow_excess(first, later, slower, _explained_visits(log, r, later))
+            return {"first_visit_ratio": ratio, "first_visit_excess": excess}
     return {"first_visit_ratio": np.nan, "first_visit_excess": np.nan}
 
 
 def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
-    """Return the share of slow first visits (K,) beyond what later rounds (R, K) and the switches
-    of their own round explain."""
-    limit = SLOW_VISIT * slower
-    slow_first = np.count_nonzero(first > limit * later.min(axis=0))
-    slow_later = [
-        np.count_nonzero(
-            visits > SLOW_VISIT * np.minimum(first, _others(later, i).min(axis=0, initial=np.inf))
-        )
-        for i, visits in enumerate(later)
-    ]
-    return float((slow_first - 2 * max(slow_later) - explained) / len(first))
+    """Return the unexplained share of slow first visits (K,), by later visits (R, K)."""
+    slow_first = np.count_nonzero(first > SLOW_VISIT * slower * later.min(axis=0))
+    slow_later = 0
+    for i, visits in enumerate(later):
+        others = np.vstack([first, np.delete(later, i, axis=0)]).min(axis=0)
+        slow_later = max(slow_later, int(np.count_nonzero(visits > SLOW_VISIT * others)))
+    return float((slow_first - 2 * slow_later - explained) / len(first))
 
 
-def _others(later: Floats, i: int) -> Floats:
-    return np.delete(later, i, axis=0)
-
-
-def _explained(log: RawLog, r: int, later: Floats) -> int:
-    """Return how many slow first visits the involuntary switches of round r may explain; 0 where
-    its first attempt is not the last."""
+def _explained_visits(log: RawLog, r: int, later: Floats) -> int:
+    """Return how many slow first visits the involuntary switches of round r may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
-    wall_s = counted["replay_s"] or float("nan")
-    timed_share = 1e-9 * float(later.min(axis=0).sum()) / wall_s
+    timed_share = 1e-9 * float(later.min(axis=0).sum()) / (counted["replay_s"] or float("nan"))
     return explained_by(float(np.nan_to_num(counted["involuntary_switches"])), timed_share)
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
-    """Return the visits (R, K) of each step after its first one in round r; inf where there is
-    none."""
+    """Return the visits (R, K) of each step after its first one in round r, inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
-    rounds = range(r if log.attempts[r] > 1 else r + 1, len(log.done))
-    visits = np.full((len(rounds), total.shape[1]), np.inf)
-    for i, later in enumerate(rounds):
-        done = int(log.done[later])
-        visits[i, :done] = np.maximum(total[later, :done], 1)
-    return visits[[int(log.done[later]) > 0 for later in rounds]]
+    rounds = np.arange(r if log.attempts[r] > 1 else r + 1, len(log.done))
+    rounds = rounds[log.done[rounds] > 0]
+    recorded = np.arange(total.shape[1]) < log.done[rounds][:, np.newaxis]
+    return np.where(recorded, np.maximum(total[rounds], 1), np.inf)
 
 
-def _slower(log: RawLog, r: int) -> float:
-    """How much slower the machine was around the first attempt of round r than at its best."""
+def _machine_factor(log: RawLog, r: int) -> float:
+    """Return by what factor the machine was slower around the first attempt of round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
         return 1.0
@@ -132,10 +114,7 @@ def is_remembered(
     first_visit_excess: float = np.nan,
     loop_tail_ratio: float = np.nan,
 ) -> bool:
-    """Whether the times of a replay are those of remembered answers.
-
-    A figure that is not there (no replay, too few steps, no closed loop) is NaN and marks nobody.
-    """
+    """Return whether replay times are those of remembered answers; NaN marks nothing."""
     return bool(
         first_visit_ratio > MOST_WARMING
         or loop_ratio > MOST_LOOP
@@ -148,11 +127,11 @@ _CONFIGURATION = ["scenario", *COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return `runs` with `loop_ratio` and `loop_tail_ratio`: of a replay, the median and the 90th
-    percentile of its configuration's own closed loop over its own; NaN where that configuration
-    steered no ship in that scenario without a failure.
+    """Add `loop_ratio` and `loop_tail_ratio` to runs.
 
-    A solver that fails sails elsewhere, through QPs that may well take it longer.
+    They are the median and the 90th percentile of the configuration's own closed loop over those of
+    its replay; NaN without a loop in that scenario that finished without a failed step, as a solver
+    that fails meets other QPs.
     """
     columns = {"loop_ratio": "p50", "loop_tail_ratio": "p90"}
     if not {"raw_p50_ns", "failed_steps"} <= set(runs):
@@ -163,16 +142,16 @@ def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
     longest = loops.sort_values("steps_done", kind="stable").groupby(_CONFIGURATION).tail(1)
     keys = pd.MultiIndex.from_frame(runs[_CONFIGURATION])
     ratios = {}
+    times = longest.set_index(_CONFIGURATION)
     for column, percent in columns.items():
-        if f"raw_{percent}_ns" not in runs:
+        name = f"raw_{percent}_ns"
+        if name not in runs:
             ratios[column] = np.full(len(runs), np.nan)
             continue
-        of_loop = longest.set_index(_CONFIGURATION)[f"raw_{percent}_ns"].astype(np.float64)
-        if f"controller_{percent}_ns" in longest:
+        loop_ns = times[name].astype(np.float64)
+        if f"controller_{percent}_ns" in times:
             # Of a cascade, the QPs of the replay are the first ones.
-            alone = longest.set_index(_CONFIGURATION)[f"controller_{percent}_ns"]
-            of_loop = alone.astype(np.float64).fillna(of_loop)
-        own = runs[f"raw_{percent}_ns"].to_numpy(dtype=np.float64)
-        ratio = of_loop.reindex(keys).to_numpy() / own
+            loop_ns = times[f"controller_{percent}_ns"].astype(np.float64).fillna(loop_ns)
+        ratio = loop_ns.reindex(keys).to_numpy() / runs[name].to_numpy(dtype=np.float64)
         ratios[column] = np.where(runs["mode"] == "replay", ratio, np.nan)
     return runs.assign(**ratios)

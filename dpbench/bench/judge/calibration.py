@@ -1,5 +1,4 @@
-"""What the harness's own configurations say: the bar each is held to, and a quick run of all of
-them here."""
+"""Tolerances of the harness's own configurations, and a quick run of all of them."""
 
 from __future__ import annotations
 
@@ -18,19 +17,18 @@ from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
 
 BAR_NS, BAR_SHARE = 1000.0, 0.01
-"""A known wait is measured within the one or the other; doing nothing takes at most the first."""
+"""A known wait is measured within either of them; doing nothing takes at most the first."""
 _SIZE, _STEPS, _ROUNDS = 15, 200, 5
-"""A quick run: the size of the paper's QP, a second and a half of waiting."""
+"""Size of the paper's QP; together a second and a half of waiting."""
 
 
 def off_by_ns(configuration: str, p50_ns: float) -> float:
-    """What a configuration was measured to take beyond what it waits [ns]."""
+    """Return the measured time of a configuration beyond what it waits [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
 
 def within_bar(configuration: str, p50_ns: float) -> bool | None:
-    """Whether the measured median is what is known of the configuration; None where nothing is
-    known."""
+    """Return whether the measured median is right; None where its time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
     return abs(off_by_ns(configuration, p50_ns)) <= max(
@@ -47,14 +45,13 @@ class Calibration:
 
 
 def calibrate() -> Calibration:
-    """Replay made-up QPs through every configuration in this process, pinned to its last core
-    meanwhile."""
+    """Replay made-up QPs through every configuration, in this process on its last core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
     gc.disable()
     try:
-        runs = {name: _replayed(name) for name in CALIBRATION}
+        runs = {name: _replay_configuration(name) for name in CALIBRATION}
     finally:
         os.sched_setaffinity(0, allowed)
         if collecting:
@@ -63,17 +60,17 @@ def calibrate() -> Calibration:
     return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
 
 
-def _made_up() -> QPSequence:
-    """QPs nobody solves; their numbers do not matter."""
+def _unsolved_sequence() -> QPSequence:
+    """Return QPs that no calibration configuration solves."""
     eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
     base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
     many = np.zeros((_STEPS, _SIZE))
     return QPSequence("made up", base, many, many - 1, many + 1)
 
 
-def _replayed(name: str) -> tuple[float, Disturbance]:
+def _replay_configuration(name: str) -> tuple[float, Disturbance]:
     steps, timed_solver, log = replay_parts(
-        _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+        _unsolved_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock

@@ -1,7 +1,7 @@
-"""Judge the raw log of a cell: the referee's columns, after the clock has stopped.
+"""Evaluation of the raw log of a cell, after the clock has stopped.
 
-Every step is judged against the certified optimum of the *same* QP in scaled units, rebuilt from
-the recorded θ; the residuals are given in the solver's own units too.
+Every step is compared with the certified optimum of the *same* QP in scaled units, rebuilt from the
+recorded θ; residuals are given in the solver's own units too.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
-from dpbench.bench.run.assemble import as_run
+from dpbench.bench.run.assemble import with_cell_formulation
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of
@@ -32,11 +35,11 @@ from dpbench.scenario.scenario import Scenario, scenario_once
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
-OF_SECOND = "allocation_"
-"""Before the names of columns that belong to the second QPs of a cascade."""
-OF_BACKUP = "backup_"
-"""Before the names of columns that belong to the backup."""
-Rebuilt = Callable[[int], tuple[QPStep, QPStep]]
+SECOND_QP_PREFIX = "allocation_"
+"""Prefix of columns of a cascade's second QPs."""
+BACKUP_PREFIX = "backup_"
+"""Prefix of columns of the backup."""
+RebuildStep = Callable[[int], tuple[QPStep, QPStep]]
 """The QP of a step in scaled units and in those the solver was given."""
 EVALUATION = (
     "primal",
@@ -53,16 +56,15 @@ EVALUATION = (
     "true_1e4",
     "true_1e6",
 )
-AT_ONCE = 128
-"""Answers that are judged at once, at most: some megabytes of them where n is 500."""
+BATCH_SIZE = 128
+"""Most answers that are evaluated together: some megabytes where n is 500."""
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = TIMES.index("solve")
 
 
 @dataclass(frozen=True, eq=False)
 class AppliedForces:
-    """What metrics of a controller are made from: its run, the builder of its QPs, τ among the
-    columns, and the forces of thrusters (K, n_f)."""
+    """Run, QP builder, columns and thruster forces (K, n_f) that controller metrics need."""
 
     scenario: Scenario
     builder: QPBuilder
@@ -78,19 +80,19 @@ METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
     "thrusters": lambda of: thruster_metrics(of.scenario, of.thrust, of.builder.thruster_limits),
     "delivery": lambda of: {"undelivered_share": float(of.columns["undelivered_share"].max())},
 }
-"""The metrics of each group that a controller may name."""
+"""Metrics of each group that a controller may name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """Columns of a judged cell: arrays over its recorded rows, and the metrics of the run."""
+    """Arrays over the recorded rows of a cell, and the metrics of its run."""
 
     columns: Columns
     metrics: dict[str, float]
 
 
 class StepEvaluator:
-    """Judges answers to the QPs of one base problem, many at once.
+    """Evaluates answers to QPs of one base problem, many at once.
 
     Parameters
     ----------
@@ -106,40 +108,40 @@ class StepEvaluator:
         self._evaluated: list[Matrix] = []
 
     def follow(self, step: QPStep, own: QPStep) -> None:
-        """Take over the matrices of a step where it brings other ones; they hold from now on."""
+        """Take over the matrices of a step, where it brings new ones."""
         if self._scaled.changed_by(step):
             self._evaluate()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 
     def certify(self, step: QPStep) -> Optimum:
-        """The certified optimum of a step in scaled units."""
+        """Return the certified optimum of a step in scaled units."""
         if self._referee is None:
             qp = self._scaled
             self._referee = referee_of(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
     def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
-        """Judge an answer, in the solver's own units, to the QP of a step that was followed."""
+        """Add an answer, in the solver's own units, to the QP of a step that was followed."""
         self._waiting.append((scaled, own, answer, optimum))
-        if len(self._waiting) >= AT_ONCE:
+        if len(self._waiting) >= BATCH_SIZE:
             self._evaluate()
 
     def evaluations(self) -> Matrix:
-        """The numbers of `EVALUATION` for each answer that was added, in their order (K, …)."""
+        """Return the figures (K, len(EVALUATION)) of all answers, in their order."""
         self._evaluate()
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
     def _evaluate(self) -> None:
-        """Judge what waits: answers to QPs of the same matrices."""
+        """Evaluate what waits: answers to QPs of the same matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
         self._waiting = []
-        z, y, y_box = (_stacked(answers, part) for part in ("z", "y", "y_box"))
-        self._explain(own, z, y, y_box)
-        in_own = residuals_of_all(self._own, *_vectors(own), z, y, y_box)
-        q, l, u = _vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        z, y, y_box = (_stack_attribute(answers, part) for part in ("z", "y", "y_box"))
+        self._add_multipliers(own, z, y, y_box)
+        in_own = residuals_of_all(self._own, *_step_vectors(own), z, y, y_box)
+        q, l, u = _step_vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
@@ -154,45 +156,54 @@ class StepEvaluator:
                     level[i] = is_so
         of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
         errors = in_own.primal, in_own.dual, move, plan
-        self._evaluated.append(np.column_stack((*of_scaled, *errors, *_facts(optima), *levels)))
+        self._evaluated.append(
+            np.column_stack((*of_scaled, *errors, *_optimum_figures(optima), *levels))
+        )
 
-    def _explain(self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix) -> None:
-        """Give the best multipliers the referee finds to answers whose solver gave none."""
+    def _add_multipliers(
+        self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
+    ) -> None:
+        """Write the best multipliers to answers whose solver gave none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
             y[i], y_box[i] = best_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
-def _stacked(parts: Sequence[object], name: str) -> Matrix:
-    """One array of theirs as rows."""
+def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
+    """Return an attribute of each part as rows."""
     return np.array([getattr(part, name) for part in parts])
 
 
-def _vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
-    """q (K, n), l, u (K, m) of K steps."""
-    return _stacked(steps, "q"), _stacked(steps, "l"), _stacked(steps, "u")
+def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
+    """Return q (K, n), l (K, m) and u (K, m) of K steps."""
+    return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
-def _facts(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
-    """The bound of each optimum, and how many limits are active at it: (K,) each."""
+def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
+    """Return the bound of each optimum and its number of active limits, (K,) each."""
     bound = np.array([optimum.bound for optimum in optima])
-    multipliers = np.concatenate((_stacked(optima, "y"), _stacked(optima, "y_box")), axis=1)
+    multipliers = np.concatenate(
+        (_stack_attribute(optima, "y"), _stack_attribute(optima, "y_box")), axis=1
+    )
     return bound, (np.abs(multipliers) > ACTIVE_MULTIPLIER).sum(axis=1).astype(np.float64)
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
-    """The answer in row (r, k) of a log, in the solver's own units."""
+    """Return the answer in row (r, k) of a log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
-    """The judged columns and metrics of a closed loop."""
-    scenario = as_run(cell, scenario_once(cell.scenario).first(cell.steps))
+    """Return the columns and metrics of a closed loop."""
+    scenario = with_cell_formulation(cell, scenario_once(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
-    columns, matrix_steps = _controller(scaled, own, log)
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
+    asked = log.times[0, :done, _SOLVE] >= 0
+    columns, matrix_steps = _evaluate_steps(log, *_controller_rebuild(scaled, own, log), asked)
     columns |= {
+        "asked": asked,
         "t_s": columns["k"] * scenario.sample_s,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
@@ -205,8 +216,8 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     if not done:
         return Evaluated(columns, {})
     thrust = log.thrust[:done]
-    columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
-    columns |= _backup(cell, scenario, log)
+    columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
+    columns |= _backup_columns(cell, scenario, log)
     applied = scenario.controller.applied(columns["tau"], thrust)
     metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
@@ -217,16 +228,10 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     return Evaluated(columns, metrics)
 
 
-def _controller(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[Columns, int]:
-    """The columns of a controller's QPs, and how many steps brought matrices of their own."""
-    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
-    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
-    return columns | {"asked": asked}, matrix_steps
-
-
-def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvaluator, Rebuilt]:
-    """An evaluator of answers to a controller's QPs, and the QPs from the recorded θ."""
+def _controller_rebuild(
+    scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> tuple[StepEvaluator, RebuildStep]:
+    """Return an evaluator of a controller's QPs, and the QPs from the recorded θ."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
 
@@ -237,9 +242,10 @@ def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvalua
     return StepEvaluator(base, own_base, own.condensed.scale), rebuilt
 
 
-def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
-    """The columns of a cascade: how much of the demand is not delivered, and those of its second
-    QPs, `OF_SECOND` before their names."""
+def _allocation_columns(
+    scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> Columns:
+    """Return the undelivered share of a cascade's demand, and the columns of its second QPs."""
     if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
@@ -259,12 +265,11 @@ def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawL
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
-    return columns | {f"{OF_SECOND}{name}": column for name, column in evaluated.items()}
+    return columns | {f"{SECOND_QP_PREFIX}{name}": column for name, column in evaluated.items()}
 
 
-def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
-    """The columns of a backup, `OF_BACKUP` before their names: those of its answers, in steps in
-    which it was asked, whether it acted, and when it was ready; none without a backup."""
+def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+    """Return the columns of a backup: its answers, whether it acted, when it was ready."""
     answers = log.backup
     if answers is None:
         return {}
@@ -273,21 +278,16 @@ def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     asked = answers.times[0, :done, _SOLVE] >= 0
-    evaluated, _ = _evaluate_steps(answers, *_rebuilt(scaled, own, log), asked)
+    evaluated, _ = _evaluate_steps(answers, *_controller_rebuild(scaled, own, log), asked)
     acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
     facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
-    return {f"{OF_BACKUP}{name}": column for name, column in facts.items()}
+    return {f"{BACKUP_PREFIX}{name}": column for name, column in facts.items()}
 
 
 def _evaluate_steps(
-    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: Flags
+    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
-    """The columns of the steps of a loop, those `asked` (K,) with their answers judged.
-
-    Returns
-    -------
-    The columns, and how many steps brought matrices of their own.
-    """
+    """Return the columns of the `asked` steps (K,), and how many brought matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
     certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0
@@ -309,8 +309,7 @@ def common_columns(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their
-    evaluations."""
+    """Return the columns of both modes, for `counts` recorded steps of each of `rounds`."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.record.schema import POSE_AXES
+from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.scenario.controllers.controller import limit_tables
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import POSE, VELOCITY
 
 AT_LIMIT = 1e-6
-"""In units of the limit's own step: closer than this counts as being at the limit."""
+"""Share of the limit's own step within which a force is at the limit."""
 
 
 def control_metrics(
-    scenario: Scenario,
-    state: Matrix,
-    u: Matrix,
-    reference: Matrix,
-    exact: ExactLoop,
+    scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
-    """Metrics of a run of K steps, whatever the controller commands.
+    """Return the metrics of a run of K steps that every controller has.
 
     Parameters
     ----------
-    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; u : (K, n_u) what was applied, force
-        or forces of thrusters.
+    state : (K + 1, 6) [u, v, r, n, e, ψ] at the samples; u : (K, n_u) force or thruster forces.
     reference : at least (K + 1, 3) [n, e, ψ] at the sample times.
     exact : the exactly solved loop, at least as long.
     """
@@ -46,29 +45,29 @@ def control_metrics(
         "r_tail_max_m": float(radius[K // 2 :].max()),
         "heading_rms_deg": _rms(heading),
         "heading_max_deg": float(heading.max()),
-        "settle_s": _settling(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
-        "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
+        "settle_s": _settling_time(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
+        "settle_0p1m_s": _settling_time(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
-        "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _cost(scenario, exact.state[: K + 1], exact_u, reference),
+        "closed_loop_cost": _quadratic_cost(scenario, state[: K + 1], u, reference),
+        "exact_cost": _quadratic_cost(scenario, exact.state[: K + 1], exact_u, reference),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
-        | _of_axes(t, error, dt)
-        | _effort(scenario, state[:K, VELOCITY], tau)
-        | _deviation(state[:K], tau, exact)
+        | _axis_metrics(t, error, dt)
+        | _effort_metrics(scenario, state[:K, VELOCITY], tau)
+        | _deviation_metrics(state[:K], tau, exact)
     )
 
 
-def before_each(forces: Matrix) -> Matrix:
-    """Return the force before each of K forces (K, n): nothing before the first."""
+def previous_forces(forces: Matrix) -> Matrix:
+    """Return the force before each of K forces (K, n), zero before the first."""
     return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
-    """Shares of the run in the green, yellow and red zones of a watch circle."""
+    """Return the shares of the run in the zones of a watch circle."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
     return {
@@ -78,8 +77,8 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
     }
 
 
-def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
-    """Integrals of the error of each axis, and its overshoot."""
+def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+    """Return the integrals of the error of each axis, and its overshoot."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
@@ -94,8 +93,8 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
-    """First time from which `inside` holds for hold_s (None: to the end); inf if it never does."""
+def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
+    """Return the first time from which `inside` holds for hold_s (None: to the end), or inf."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -108,17 +107,14 @@ def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> floa
 
 
 def _overshoot(error: Vector) -> float:
-    """Furthest excursion to the other side of the reference than the start's.
-
-    From a start in the reference there is no other side, and the measure is NaN.
-    """
+    """Return the furthest error of the other sign than the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
-def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
-    """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
+    """Return ½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
     problem = scenario.problem
@@ -129,8 +125,8 @@ def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> fl
     return 0.5 * float(cost)
 
 
-def _effort(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
-    change = tau - before_each(tau)
+def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+    change = tau - previous_forces(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
@@ -140,7 +136,7 @@ def _effort(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
     }
 
 
-def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
     position = np.hypot(north, east)
@@ -154,3 +150,66 @@ def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]
         "dev_force_max_N": float(force.max()),
         "dev_force_rms_N": _rms(force),
     }
+
+
+def axis_limit_metrics(
+    scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
+) -> dict[str, float]:
+    """Return shares of steps at the limits of each axis, and the steps beyond one.
+
+    Parameters
+    ----------
+    tau : (K, 3) applied forces; limits : of at least K samples.
+    """
+    du_max, before = scenario.problem.du_max, previous_forces(tau)
+    low, high = limit_tables(limits[: len(tau)])
+    near = AT_LIMIT * du_max
+    at_amplitude = (tau >= high - near) | (tau <= low + near)
+    # What the rate leaves of a limit that has just dropped is no violation.
+    above = tau > np.maximum(high, before - du_max)
+    below = tau < np.minimum(low, before + du_max)
+    violated = (above | below).any(axis=1) | _exceeds_rate(scenario, tau)
+    shares = {f"at_amplitude_{force}": at_amplitude[:, i] for i, force in enumerate(FORCES)}
+    return (
+        _rate_shares(scenario, tau)
+        | {name: float(share.mean()) for name, share in shares.items()}
+        | {"limit_violations": float(violated.sum())}
+    )
+
+
+def joint_limit_metrics(
+    scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
+) -> dict[str, float]:
+    """Return such figures of a force limited by what its thrusters give together."""
+    problem = scenario.problem
+    near = AT_LIMIT * problem.row_max
+    low, high = limit_tables(limits[: len(tau)])
+    along, before = tau @ problem.G.T, previous_forces(tau) @ problem.G.T
+    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
+    # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
+    outside = ((along > high + near) | (along < low - near)).any(axis=1)
+    share, share_before = (
+        np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
+        for rows in (along, before)
+    )
+    violated = (outside & (share > share_before + 1e-9)) | _exceeds_rate(scenario, tau)
+    return _rate_shares(scenario, tau) | {
+        "limit_violations": float(violated.sum()),
+        "at_limit_thrusters": float(at_limit.mean()),
+    }
+
+
+def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
+    """Return shares of steps at the rate limit of each axis."""
+    du_max = scenario.problem.du_max
+    at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
+    return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
+
+
+def _exceeds_rate(scenario: Scenario, tau: Matrix) -> Flags:
+    """Return whether each force (K, 3) is beyond the rate limits: (K,)."""
+    ship, du_max = scenario.vessel, scenario.problem.du_max
+    # Beyond one unit in the last place of the force itself a difference is no rounding.
+    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
+    too_fast: Flags = (np.abs(tau - previous_forces(tau)) > du_max + rounding).any(axis=1)
+    return too_fast

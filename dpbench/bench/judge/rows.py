@@ -1,5 +1,4 @@
-"""Turn the columns of a judged cell into its rows of `steps.parquet` and its row of
-`runs.parquet`."""
+"""Rows of `steps.parquet` and `runs.parquet` from the columns of an evaluated cell."""
 
 from __future__ import annotations
 
@@ -9,23 +8,9 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Flags
+from dpbench.bench.judge import rules, timing
 from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.deadlines import deadline_metrics, longest_streak, steps_to_recover
-from dpbench.bench.judge.rules import (
-    INFEASIBLE,
-    UNDECIDED,
-    StepColumns,
-    claimed_not_true,
-    decided,
-    errors,
-    failed_steps,
-    largest,
-    median,
-    select_rows,
-    steps_with_answers,
-    true_not_claimed,
-)
-from dpbench.bench.judge.timing import timing_metrics
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.scenario.scenario import scenario_once
@@ -34,7 +19,7 @@ from dpbench.solvers.table import Availability
 
 
 def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
-    """The rows of `steps.parquet` of one cell."""
+    """Return the rows of `steps.parquet` of one cell."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
@@ -53,7 +38,7 @@ def run_row(
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """The row of `runs.parquet` of one cell; a cell without steps has its identity only.
+    """Return the row of `runs.parquet` of one cell; without steps, its identity only.
 
     Parameters
     ----------
@@ -73,7 +58,7 @@ def run_row(
         "settings": cell.settings,
         "formulation": cell.formulation,
         "form": outcome.form,
-        **_sizes(cell, outcome),
+        **_size_columns(cell, outcome),
         "units": cell.units,
         "slowdown": cell.slowdown,
         "deadline_s": _deadline_s(cell),
@@ -92,27 +77,33 @@ def run_row(
         return row
     counts = steps["counts"]
     if not counts.any():
-        # It ended within its warm-up, which says nothing about it.
+        # The warm-up does not count.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
-    judged = steps_with_answers(select_rows(steps, counts), cell.slowdown)
-    row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
+    judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)
+    row |= evaluated.metrics | timing.timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(judged) | _worst_of_all(steps_with_answers(steps, cell.slowdown))
+        row |= _accuracy_columns(judged) | _worst_error_columns(
+            rules.steps_with_answers(steps, cell.slowdown)
+        )
     if cell.mode == "closed_loop":
-        row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
+        row |= (
+            _fallback_columns(steps)
+            | _backup_columns(steps)
+            | timing.deadline_metrics(steps, cell.slowdown)
+        )
     return row
 
 
 def _deadline_s(cell: Cell) -> float:
-    """The budget of a step [s]; NaN in a replay, which has none."""
+    """Return the budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
     return cell.deadline_s or scenario_once(cell.scenario).sample_s
 
 
-def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
+def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
+    """Return horizons and size of the QP; null where there are none."""
     scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
@@ -124,50 +115,48 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
-def _accuracy(steps: StepColumns) -> dict[str, Any]:
-    known, undecided = decided(steps), steps["certificate"] == UNDECIDED
-    charged = select_rows(steps, ~undecided)
-    moves = errors(charged)
+def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
+    known, undecided = rules.decided(steps), steps["certificate"] == rules.UNDECIDED
+    charged = rules.select_rows(steps, ~undecided)
+    moves = rules.errors(charged)
     moves = moves[~np.isnan(moves)]
     iterations = steps["iterations"][steps["iterations"] > ABSENT]
     bounds = steps["optimum_bound"]
     return {
-        "claimed_share": _mean(steps["claimed"]),
-        "true_share": _mean(steps["true"][known]),
-        "true_1e4_share": _mean(steps["true_1e4"][known]),
-        "true_1e6_share": _mean(steps["true_1e6"][known]),
-        "claimed_not_true": int(claimed_not_true(steps).sum()),
-        "true_not_claimed": int(true_not_claimed(steps).sum()),
+        "claimed_share": _true_share(steps["claimed"]),
+        "true_share": _true_share(steps["true"][known]),
+        "true_1e4_share": _true_share(steps["true_1e4"][known]),
+        "true_1e6_share": _true_share(steps["true_1e6"][known]),
+        "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
+        "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "primal_max": largest(charged["primal"]),
-        "dual_max": largest(charged["dual"]),
-        "optimum_bound_max": largest(bounds[np.isfinite(bounds)]),
+        "primal_max": rules.largest(charged["primal"]),
+        "dual_max": rules.largest(charged["dual"]),
+        "optimum_bound_max": rules.largest(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
-        "infeasible_steps": int((steps["certificate"] == INFEASIBLE).sum()),
-        "iterations_p50": median(iterations),
-        "iterations_max": largest(iterations),
+        "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
+        "iterations_p50": rules.median(iterations),
+        "iterations_max": rules.largest(iterations),
     }
 
 
-def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
-    """Return the largest error and the failed steps of all rounds: no disturbance excuses a wrong
-    answer, and a fault on a first visit may be in the warm-up alone."""
-    charged = select_rows(steps, steps["certificate"] != UNDECIDED)
+def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
+    charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
-        "error_move_max": largest(errors(charged)),
-        "error_plan_max": largest(charged["error_plan"]),
-        "failed_steps": int(failed_steps(steps).sum()),
+        "error_move_max": rules.largest(rules.errors(charged)),
+        "error_plan_max": rules.largest(charged["error_plan"]),
+        "failed_steps": int(rules.failed_steps(steps).sum()),
     }
 
 
-def _mean(flags: Flags) -> float:
-    """Their share; NaN of none."""
+def _true_share(flags: Flags) -> float:
     return float(flags.mean()) if len(flags) else float("nan")
 
 
-def _backup(steps: StepColumns) -> dict[str, Any]:
-    """The columns on a backup; none without one."""
+def _backup_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return the columns on a backup; none without one."""
     if "backup" not in steps:
         return {}
     asked = steps["backup_ns"] > ABSENT
@@ -176,18 +165,18 @@ def _backup(steps: StepColumns) -> dict[str, Any]:
         "backup_asked": int(asked.sum()),
         "backup_acted": int(steps["backup"].sum()),
         "backup_failures": int(steps["backup_failed"].sum()),
-        "backup_p50_ns": median(times),
-        "backup_max_ns": largest(times),
-        "backup_error_max": largest(steps["backup_error"][asked]),
+        "backup_p50_ns": rules.median(times),
+        "backup_max_ns": rules.largest(times),
+        "backup_error_max": rules.largest(steps["backup_error"][asked]),
     }
 
 
-def _failures(steps: StepColumns) -> dict[str, Any]:
+def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
     failed = steps["fallback"]
-    recovered = steps_to_recover(failed, steps["true"])
+    recovered = timing.steps_to_recover(failed, steps["true"])
     return {
         "fallbacks": int(failed.sum()),
-        "fallback_longest": longest_streak(failed),
+        "fallback_longest": timing.longest_streak(failed),
         "recover_steps_max": pd.NA if recovered is None else recovered,
         "unconverged": int(steps["unconverged"].sum()),
         "clipped": int(steps["clipped"].sum()),

@@ -1,7 +1,7 @@
-"""What a controller that commands thrusters asks of them: thrust, power, wear, limits.
+"""Metrics of controllers that command thrusters: thrust, power, wear, limits.
 
-Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is told
-by how much its thrust varies and how far its azimuth travels.
+Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is
+measured by how much its thrust varies and how far its azimuth travels.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.bench.judge.control_metrics import AT_LIMIT, before_each
+from dpbench.bench.judge.control_metrics import AT_LIMIT, previous_forces
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import limit_tables
@@ -22,10 +22,7 @@ PUSHING = 0.01
 
 
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
-    """Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 of each step of f (K, n_f): (K,) each.
-
-    Nothing where no thrusters are commanded.
-    """
+    """Return Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 (K,) of f (K, n_f), if thrusters are commanded."""
     control = scenario.controller.commanded
     if control is None:
         return {}
@@ -36,22 +33,22 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 
 
 def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
-    """Metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
+    """Return the metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
 
     Parameters
     ----------
-    limits : those of the thrusters in force, of at least K samples.
+    limits : of the thrusters, of at least K samples.
     """
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
-    before = before_each(f)
+    before = previous_forces(f)
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
-    turned_deg, reversals = _directions(control, f, before)
+    turned_deg, reversals = _azimuth_travel(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _at_limits(control, step_max, f, before, limits)
+    at_limit, violated = _limit_figures(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -64,8 +61,8 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     }
 
 
-def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
-    """How far azimuths turned while pushing [°], and how often other thrusters reversed."""
+def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
+    """Return how far azimuths turned while pushing [°], and how often others reversed."""
     turned, reversals = 0.0, 0
     parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
     for thruster, at in parts:
@@ -81,14 +78,10 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
     return float(np.degrees(turned)), float(reversals)
 
 
-def _at_limits(
-    control: ThrusterControl,
-    step_max: Vector,
-    f: Matrix,
-    before: Matrix,
-    limits: Sequence[Limits],
+def _limit_figures(
+    control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Share of steps with a thruster at its limit, and steps in which one is beyond it.
+    """Return the share of steps with a thruster at its limit, and the steps with one beyond it.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """

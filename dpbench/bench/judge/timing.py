@@ -1,4 +1,4 @@
-"""The columns of `runs.parquet` on step times, from the judged steps of one cell."""
+"""Columns of `runs.parquet` on step times and deadlines, from the steps of one cell."""
 
 from __future__ import annotations
 
@@ -6,22 +6,24 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
+from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, Evaluated
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.run.slow_computer import ComputationalDelay
 
 Steps = Mapping[str, NDArray[Any]]
 
 
 def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:
-    """Step times over the steps that count; percentiles where the samples support them."""
+    """Return step times over the steps that count; percentiles where samples support them."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
-    second = f"{OF_SECOND}setup_once_ns"
+    second = f"{SECOND_QP_PREFIX}setup_once_ns"
     if once > 0 and second in columns:
         once += int(columns[second][0])
     raw = counting["total_ns"].astype(np.float64)
@@ -40,16 +42,16 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
         for phase in ("emit", "overhead"):
             times_ns = counting[f"{phase}_ns"]
             timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > ABSENT])
-        return timing | _parts(counting)
-    rounds, by_round = _by_round(counting, raw)
+        return timing | _cascade_times(counting)
+    rounds, by_round = _values_by_round(counting, raw)
     best = np.nanmin(by_round, axis=0)
     return timing | {
         "rounds": len(rounds),
-        # The warm-up is never run again and never counts, so it is not said to be disturbed either.
-        "disturbed_rounds": int((disturbed_rounds_of(evaluated.columns) != WARM_UP).sum()),
+        # The warm-up is never run again and never counts, so it is not counted as disturbed.
+        "disturbed_rounds": int((find_disturbed_rounds(evaluated.columns) != WARM_UP).sum()),
         "counting_disturbed": len(np.unique(counting["repeat"][counting["disturbed"]])),
         "reference_kernel_ns": reference_kernel_median(evaluated.columns),
-        "load_kernel_ns": load_time(evaluated.columns, rounds),
+        "load_kernel_ns": load_kernel_time_ns(evaluated.columns, rounds),
         "algo_p50_ns": percentile(best, 50),
         "algo_p95_ns": percentile(best, 95),
         "algo_p99_ns": percentile(best, 99),
@@ -58,11 +60,8 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
     }
 
 
-def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """The rounds (R,), and the values (R, K) by round and step; NaN where a round has no such step.
-
-    Only steps that some round has.
-    """
+def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
+    """Return the rounds (R,), and values (R, K) by round and step, NaN for a missing step."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -70,8 +69,8 @@ def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Float
     return rounds, by_round
 
 
-def _parts(counting: Steps) -> dict[str, float]:
-    """The times of both QPs of a cascade by themselves; nothing of other loops."""
+def _cascade_times(counting: Steps) -> dict[str, float]:
+    """Return the times of both QPs of a cascade; none of other loops."""
     if "allocation_ns" not in counting:
         return {}
     second = counting["allocation_ns"].astype(np.float64)
@@ -84,14 +83,14 @@ def _parts(counting: Steps) -> dict[str, float]:
 
 
 def reference_kernel_median(columns: Columns) -> float:
-    """Median over rounds of the reference kernel, the better of its timings around a round [ns]."""
+    """Return the median over rounds of the better reference kernel time [ns]."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
     return median(best[np.isfinite(best)])
 
 
-def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """The load kernel as a step is timed [ns]: per pass the minimum over the rounds that count.
+def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
+    """Return the load kernel time [ns]: per pass the minimum over the rounds that count.
 
     Of the passes before and after a round the geometric mean.
     """
@@ -102,7 +101,70 @@ def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
     return float(np.exp(np.log(whole.min(axis=0)).mean())) if len(whole) else float(np.nan)
 
 
-def disturbed_rounds_of(columns: Columns) -> NDArray[np.int32]:
-    """The disturbed rounds of a judged replay."""
+def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
+    """Return the disturbed rounds of an evaluated replay."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
     return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
+
+
+def deadline_columns(
+    delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
+) -> dict[str, NDArray[Any]]:
+    """Return `late` and, on a slow computer, `latency_ns` of the steps of a loop.
+
+    Parameters
+    ----------
+    latency_ns : (K,) of the slow computer; total_ns : (K,) measured times.
+    """
+    if not delay.simulated:
+        return {"late": total_ns > delay.budget_ns}
+    idle = latency_ns < 0
+    late = idle | (latency_ns > delay.budget_ns)
+    return {"late": late, "latency_ns": np.maximum(latency_ns, ABSENT)}
+
+
+def longest_streak(flags: Flags) -> int:
+    """Return the length of the longest run of true entries."""
+    starts, ends = _true_runs(flags)
+    return int((ends - starts).max()) if len(starts) else 0
+
+
+def steps_to_recover(bad: Flags, good: Flags) -> int | None:
+    """Return the most steps from the start of a bad run to a good one, or None."""
+    starts, _ = _true_runs(bad)
+    good_at = np.flatnonzero(good)
+    after = np.searchsorted(good_at, starts)
+    recovered = after < len(good_at)
+    if not len(starts) or not recovered.all():
+        return None
+    return int((good_at[after] - starts).max())
+
+
+def _true_runs(flags: Flags) -> tuple[Ints, Ints]:
+    """Return the first entries of the runs of true ones, and the entries after their last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
+    """Return misses, streaks and recovery of a loop; latencies too where it is slow."""
+    late, true = steps["late"], steps["true"]
+    recovered = steps_to_recover(late, true & ~late)
+    total = _drop_missing(steps["total_ns"])
+    metrics: dict[str, Any] = {
+        "deadline_misses": int(late.sum()),
+        "longest_miss_streak": longest_streak(late),
+        "miss_recover_steps_max": pd.NA if recovered is None else recovered,
+        "computations": len(total),
+    }
+    if slowdown > 0.0:
+        latency = _drop_missing(steps["latency_ns"])
+        # Rounding apart, only a time without that of others is less than what was measured.
+        metrics["interrupted"] = int((latency < slowdown * total - 0.5).sum())
+        metrics |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
+    return metrics
+
+
+def _drop_missing(times_ns: Ints) -> Floats:
+    """Return the times that are not missing."""
+    return times_ns[times_ns > ABSENT].astype(np.float64)

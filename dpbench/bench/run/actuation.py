@@ -1,6 +1,6 @@
-"""From the limited u of a step to the command of the ship and the force on it, by controller.
+"""The command of the ship and the force on it, from the limited u of a step.
 
-A controller of forces commands u itself. One of thrusters commands their forces, T_e u is the force
+A controller of forces commands u itself. One of thrusters commands their forces; T_e u is the force
 on the ship. A cascade allocates u to its thrusters; what they make of it becomes u.
 """
 
@@ -10,13 +10,8 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import (
-    Clock,
-    TimedSolver,
-    is_usable,
-    record_answer,
-)
+from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import Controller
 from dpbench.scenario.controllers.thrusters import CascadeController
@@ -24,12 +19,12 @@ from dpbench.ship.layout import AXES
 
 
 class Actuation:
-    """u is the command and the force.
+    """Applies u as command and force, both always in the same arrays.
 
     Attributes
     ----------
-    command : what the ship is commanded; tau (3,) : the force on it without its losses.
-    applied : where the log keeps the limited u of each step. The arrays are always the same.
+    command : of the ship; tau (3,) : the force on it without its losses.
+    applied : where the log records the limited u of each step.
     """
 
     def __init__(self, command: Vector, tau: Vector, applied: Matrix) -> None:
@@ -39,34 +34,33 @@ class Actuation:
         """Set up before the first step."""
 
     def act(self, k: int) -> int:
-        """Bring command and force to the u of step k; the time a solver took for that [ns]."""
+        """Set command and force to the u of step k; return the time a solver took [ns]."""
         return 0
 
 
 class ThrusterActuation(Actuation):
-    """u are the forces of the thrusters."""
+    """Applies u as the forces of the thrusters."""
 
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
         super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
 
     def act(self, k: int) -> int:
-        """Bring the force to T_e u."""
+        """Set the force to T_e u."""
         self._T_e.dot(self.command, out=self.tau)
         self._log.tau[k] = self.tau
         return 0
 
 
 class Allocator(Actuation):
-    """Allocates u at each sample, by a QP or by the pseudo-inverse, and keeps to all limits.
+    """Allocates u at each sample, by a QP or by the pseudo-inverse, within all limits.
 
     Without a usable answer of the QP the pseudo-inverse acts.
 
     Parameters
     ----------
-    cascade : the controller; builder : of the run; log : where answers and forces go.
     solver : of the QPs; None where the pseudo-inverse allocates.
-    u : (3,) the demanded force, and behind `act` what the thrusters make of it.
+    u : (3,) the demanded force, and after `act` what the thrusters make of it.
     """
 
     def __init__(
@@ -92,15 +86,15 @@ class Allocator(Actuation):
             answers.setup_once_ns[0] = self._solver.prepare()
 
     def act(self, k: int) -> int:
-        """Bring the command to what makes u, and u to T_e of it; the time of an answer [ns]."""
+        """Set the command to what makes u, and u to T_e of it; return the time taken [ns]."""
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False
         if self._solver is None:
-            move = self._by_pseudo_inverse(k, demand)
+            move = self._pseudo_inverse_move(k, demand)
         else:
-            answer, unfinished, spent_ns = self._solved(k, demand, self._solver)
+            answer, unfinished, spent_ns = self._solve_allocation(k, demand, self._solver)
             missing = answer is None
-            move = self._by_pseudo_inverse(k, demand) if answer is None else answer
+            move = self._pseudo_inverse_move(k, demand) if answer is None else answer
         clipped = self._limit(f, move, self._builder.thruster_limits[k], log.thrust[k])
         f[...] = log.thrust[k]
         log.flags[k] |= np.array((missing, unfinished, clipped), dtype=np.uint8)
@@ -108,10 +102,10 @@ class Allocator(Actuation):
         log.tau[k] = self.tau
         return spent_ns
 
-    def _solved(
+    def _solve_allocation(
         self, k: int, demand: Vector, solver: TimedSolver
     ) -> tuple[Vector | None, bool, int]:
-        """Δf (n_f,) of the QP, None without a usable answer; if it is unfinished; its time [ns]."""
+        """Return Δf (n_f,), None if unusable; whether it is unfinished; its time [ns]."""
         builder, answers = self._builder.allocation, self._log.allocation
         assert builder is not None and answers is not None, "a QP allocates"
         t0 = self._clock()
@@ -127,14 +121,14 @@ class Allocator(Actuation):
         solver.reset()
         return None, False, spent_ns
 
-    def _by_pseudo_inverse(self, k: int, demand: Vector) -> Vector:
-        """Δf (n_f,) to the forces of the pseudo-inverse, whatever the limits."""
+    def _pseudo_inverse_move(self, k: int, demand: Vector) -> Vector:
+        """Return Δf (n_f,) to the forces of the pseudo-inverse, without limits."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move
 
 
-def actuate(
+def build_actuation(
     controller: Controller,
     builder: QPBuilder,
     log: RawLog,

@@ -1,4 +1,4 @@
-"""A run made ready: what a cell or a sequence says of it, its raw log, and the solver timed."""
+"""Assembly of runs: closed loop or replay, raw log and timed solver, from a cell or sequence."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, Formulated, in_loop, in_replay
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder, in_replay, loop_formulation
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
@@ -36,20 +35,19 @@ def closed_loop_setup(
     *,
     hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
-    """The closed loop that a cell describes, along a scenario of as many steps.
+    """Return the closed loop that a cell describes, along a scenario of as many steps.
 
     Parameters
     ----------
-    hung : steps in which an earlier process of the cell hung, in their order; `new_log` opens its
-        log. The controller's solver is taken for the one that hung; where a step is there twice,
-        the backup and the second solver of a cascade too.
+    hung : steps in which an earlier process of the cell hung, in order; `new_log` opens its log.
+        For a step that is there twice, the backup and the second solver of a cascade hung too.
 
     Raises
     ------
-    InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
-        be, or a backup or a cascade's second workspace that cannot be opened.
+    InputError : "sparse" for a scenario without stages, an impossible slow-down or deadline, or a
+        backup or second workspace of a cascade that cannot be opened.
     """
-    scenario = as_run(cell, scenario)
+    scenario = with_cell_formulation(cell, scenario)
     delay = delay_of(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
     if delay.simulated and why:
@@ -57,10 +55,20 @@ def closed_loop_setup(
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
     log = new_log(layout)
-    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
+    formulated = loop_formulation(cell.formulation, builder, base_problem(builder.condensed))
     last = hung[-1] if hung else None
     twice = [k for k in hung if hung.count(k) > 1]
-    solver = _timed(workspace, formulated, log, last, limit_ns)
+
+    def build_solver(
+        workspace: Workspace, form: Box, answers: AnswerLog, *, skips: bool = True
+    ) -> TimedSolver:
+        if last is None:
+            return TimedSolver(workspace, form, clock)
+        return ResumedSolver(
+            workspace, form, clock, answers=answers, at=last, skips=skips, limit_ns=limit_ns
+        )
+
+    solver = build_solver(workspace, formulated, log)
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
     )
@@ -74,42 +82,27 @@ def closed_loop_setup(
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
         second = Box(builder.allocation.base())
-        setup.allocating = _timed(
-            workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
+        setup.allocating = build_solver(
+            workspace.another(), second, log.allocation, skips=last in twice
         )
-        # What a library says of a failure counts whichever of the two QPs it failed on.
+        # Failures are counted together, whichever of the two QPs they occur in.
         setup.allocating.details = solver.details
     return setup
 
 
-def _timed(
-    workspace: Workspace,
-    formulated: Formulated,
-    answers: AnswerLog,
-    hung: int | None,
-    limit_ns: int,
-    *,
-    skips: bool = True,
-) -> TimedSolver:
-    """A solver of a loop; of one that goes on behind the step `hung`, as in `ResumedSolver`."""
-    if hung is None:
-        return TimedSolver(workspace, formulated, clock)
-    return ResumedSolver(
-        workspace, formulated, clock, answers=answers, at=hung, skips=skips, limit_ns=limit_ns
-    )
-
-
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
-    """The workspace of a backup, by its own interface where the solver has that, that is set up
-    from nothing at every step; InputError where it cannot be opened."""
+    """Return the workspace of a backup, which is set up from nothing at every step.
+
+    InputError where it cannot be opened.
+    """
     route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
     return workspace
 
 
-def as_run(cell: Cell, scenario: Scenario) -> Scenario:
-    """Return the scenario as a cell runs it, with the baseline law in all of its QPs or in none."""
+def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
+    """Return the scenario of a cell, with the baseline law in all of its QPs or in none."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())
@@ -122,11 +115,9 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """A sequence as the solver gets it, the solver, and a log of the warm-up and `rounds`.
+    """Return the steps as the solver gets them, the solver, and a log of the warm-up and `rounds`.
 
-    Raises
-    ------
-    InputError : "sparse" for QPs without a scenario behind them.
+    InputError for "sparse" QPs that have no scenario.
     """
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
     steps, formulated = in_replay(formulation, sequence)

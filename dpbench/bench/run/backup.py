@@ -1,8 +1,8 @@
-"""The backup: a second solver that steps in where the first gave no usable answer in time.
+"""The backup: a second solver for steps in which the first has no usable answer in time.
 
-It gets the QP of that very step, is set up from nothing for it, so that no earlier step can do it
-harm, and is timed by itself. Where it has no usable answer either, the fallback acts. What a late
-answer means is in `slow_computer.py`; of a cascade, the backup is one of its first QP alone.
+It gets the QP of that very step, is set up from nothing for it, and is timed by itself. Where it
+has no usable answer either, the fallback acts. A late answer is treated in `slow_computer.py`; of a
+cascade, the backup is one of its first QP alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution
 
 WARM_UP_SOLVES = 3
-"""Solves before the first step: what a library does once, when first called, is no latency."""
+"""Solves before the first step: work of a library's first call is no latency."""
 
 
 class Backup:
@@ -25,8 +25,7 @@ class Backup:
 
     Parameters
     ----------
-    solver : timed; its workspace is set up at every step.
-    moves : maps z to the plan (N_c, n_u); log : where its answers go.
+    solver : its workspace is set up at every step; moves : maps z to the plan (N_c, n_u).
     hung : steps in which it hung in an earlier process, each for `limit_ns`.
     """
 
@@ -48,13 +47,13 @@ class Backup:
         self.solver.warm_up(WARM_UP_SOLVES)
 
     def plan(self, k: int, step: QPStep) -> Matrix | None:
-        """The plan (N_c, n_u) of its answer to the QP of step k; None without a usable one."""
+        """Return the plan (N_c, n_u) of the answer to step k; None without a usable one."""
         if k in self._hung:
             return self.record(k, self.solver.missing(self._limit_ns))
         return self.record(k, self.solver.answer(step))
 
     def record(self, k: int, answer: Solution) -> Matrix | None:
-        """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
+        """Record the answer to step k; return its plan (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
@@ -65,11 +64,6 @@ class Backup:
 
 class LoopWithBackup:
     """Solver and fallback of a loop that waits for each answer; replaces both in the loop.
-
-    Parameters
-    ----------
-    solver : timed; backup : asked where that fails; law : acts where both fail.
-    emit : makes the QP of a step.
 
     Attributes
     ----------
@@ -90,7 +84,7 @@ class LoopWithBackup:
 
     @property
     def phases_ns(self) -> tuple[int, ...]:
-        """Those of the solver: the time of the backup is none of its."""
+        """Phases of the solver alone [ns]."""
         return self._solver.phases_ns
 
     @property
@@ -100,7 +94,7 @@ class LoopWithBackup:
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the solver."""
+        """Updates of the solver."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
@@ -109,23 +103,23 @@ class LoopWithBackup:
         return self._solver.prepare()
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k."""
+        """Emit the QP of step k."""
         self._k = k
         return self._emit(k, x, u_prev)
 
     def answer(self, step: QPStep) -> Solution:
-        """The solver's answer; where it is unusable, the backup has solved the step as well."""
+        """Return the solver's answer; where unusable, the backup solves the step too."""
         solution = self._solver.answer(step)
         self._plan = None if is_usable(solution) else self._backup.plan(self._k, step)
         return solution
 
     def remember(self, plan: Matrix) -> Vector:
-        """As `FallbackPolicy.remember`, of the solver's own plan."""
+        """Remember the solver's own plan, as `FallbackPolicy.remember`."""
         self.acted = False
         return self._law.remember(plan)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Δu (n_u,) of the backup's plan, or of the fallback where there is none."""
+        """Return Δu (n_u,) of the backup's plan, or of the fallback."""
         self.acted = True
         if self._plan is None:
             return self._law.move(x, y_ref, u_prev)

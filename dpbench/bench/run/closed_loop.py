@@ -2,9 +2,8 @@
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
-is the force that was *applied*; how it reaches the ship is in `actuation.py`. Only the solver's
-call stands between two clock reads of its phases. On a slow computer (`slow_computer.py`) another
-stands in for solver and fallback; the loop is the same.
+is the force that was *applied*. Only the solver's call stands between two clock reads of its
+phases.
 """
 
 from __future__ import annotations
@@ -16,17 +15,12 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.actuation import actuate
+from dpbench.bench.run.actuation import build_actuation
 from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import (
-    Clock,
-    TimedSolver,
-    is_usable,
-    record_answer,
-)
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
@@ -35,19 +29,17 @@ from dpbench.ship.layout import POSE
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
 Emit = Callable[[int, Vector, Vector], QPStep]
-Both = LoopWithBackup | SlowComputer
-"""What replaces solver and fallback in the loop."""
+SolverReplacement = LoopWithBackup | SlowComputer
 
 
 @dataclass(slots=True, eq=False)
 class ClosedLoopSetup:
-    """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
+    """The parts of a closed loop.
 
-    `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
-    tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
-    ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
-    solver of a cascade's second QP; `drawn` what is known of the weather beforehand; `backup` the
-    second solver, where there is one.
+    `fallback` acts without a usable answer; `limit_ns` of own run time end the run. `delay` is that
+    of a slow computer, None where the ship waits for each answer; `usage` counts preemptions there.
+    `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
+    the second solver.
     """
 
     scenario: Scenario
@@ -65,19 +57,14 @@ class ClosedLoopSetup:
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
-    """Run the scenario with the solver behind the clock and record every step in the log.
-
-    Returns
-    -------
-    True when all steps were done, False when the time limit stopped the run after a step.
-    """
+    """Run a scenario and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
-    plant = _plant(scenario)
+    plant = _build_plant(scenario)
     weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    solver, law, emit = _steering(setup)
+    solver, law, emit = _controller_parts(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
     model = builder.condensed.control.model
@@ -86,7 +73,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
     limit, limits = scenario.controller.move_limit(), builder.limits
-    actuation = actuate(scenario.controller, builder, log, setup.allocating, clock, u)
+    actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
     act = actuation.act
     actuation.prepare()
@@ -131,11 +118,10 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _steering(
+def _controller_parts(
     setup: ClosedLoopSetup,
-) -> tuple[TimedSolver | Both, FallbackPolicy | Both, Emit]:
-    """Return the objects that answer, act without an answer, and emit: one object for all three
-    with a backup or on a slow computer."""
+) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
+    """Return the objects that answer, act without an answer, and emit; they may be one."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
     law = FALLBACKS[setup.fallback](
@@ -153,8 +139,8 @@ def _steering(
     return both, both, both.emit
 
 
-def _plant(scenario: Scenario) -> Plant:
-    """The true ship in its start, in this weather, behind these actuators."""
+def _build_plant(scenario: Scenario) -> Plant:
+    """Return the true ship in its start, in this weather, with these actuators."""
     return Plant(
         scenario.true_ship,
         scenario.first_state,

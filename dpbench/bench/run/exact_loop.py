@@ -1,7 +1,6 @@
 """The exactly solved loop: the referee's certified optimum steers the ship.
 
-It is computed once per scenario; every solver's deviation from it is a metric, and the QPs along
-it are the sequences for replay.
+Every solver's deviation from it is a metric, and the QPs along it are the sequences for replay.
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import keep, kept
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
@@ -40,10 +38,10 @@ from dpbench.solvers.contract import Workspace
 _OF_LOOP = ("theta", "state", "tau", "thrust", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 ALLOCATED = "allocated"
-"""What the names of the arrays begin with in which a stored loop keeps optima of allocations."""
+"""Prefix of the arrays with the optima of allocations in a stored loop."""
 _DRAWN = "drawn_"
 Part = Literal["controller", "allocation"]
-"""Which QPs of a loop: those of its controller, or the second ones of a cascade."""
+"""QPs of a loop's controller, or the second ones of a cascade."""
 
 
 class ExactWorkspace(Workspace):
@@ -78,7 +76,7 @@ class ExactWorkspace(Workspace):
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
-        """The certified optimum, or the proof that there is none; without either an error.
+        """Return the certified optimum, or the proof of none; CertificateError without either.
 
         A step that is undecided at rounding has no answer either.
         """
@@ -95,13 +93,12 @@ class ExactWorkspace(Workspace):
 class ExactLoop:
     """The exactly solved loop of a scenario.
 
-    theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n);
-        thrust (K, n_f) : forces of thrusters, where they are commanded.
-    optima : the certified optimum of each step in scaled units, so that no replay has to certify
-        the same QP again for every one of its configurations.
-    demand (K, 3) : of a cascade, the force asked of its thrusters; None else.
-    allocated : of a cascade, the certified optima of its second QPs; none where it has no such.
-    drawn : what all runs in the same weather have in common, see `Environment.drawn`.
+    Attributes
+    ----------
+    theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
+    optima : certified, of each step in scaled units.
+    demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
+    drawn : what all runs in the same weather share, see `Environment.drawn`.
     """
 
     theta: Matrix
@@ -117,41 +114,36 @@ class ExactLoop:
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
-        arrays |= _arrays_of(self.optima, "optimum")
+        arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
             arrays["demand"] = self.demand
         if self.allocated:
-            arrays |= _arrays_of(self.allocated, ALLOCATED)
+            arrays |= _optima_to_arrays(self.allocated, ALLOCATED)
         arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
         keep(path, arrays)
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
-        """Read what `save` wrote; the optima are not there without `with_optima`.
-
-        Raises
-        ------
-        ResultsError : it is damaged, or gone.
-        """
+        """Read what `save` wrote; ResultsError where it is damaged or gone."""
         with kept(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
             demand, drawn = stored.get("demand"), drawn_of(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
-                _optima_of(stored, name) if name in names and f"{name}_z" in stored else []
+                _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
                 for name in ("optimum", ALLOCATED)
             )
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
 
 
 def drawn_of(stored: Mapping[str, NDArray[Any]]) -> Drawn:
-    """Of a stored loop, what is drawn of its weather."""
+    """Return the precomputed weather of a stored loop."""
     names = [name for name in stored if name.startswith(_DRAWN)]
     return {name.removeprefix(_DRAWN): stored[name] for name in names}
 
 
 def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
-    """Of a stored loop, n and m of a cascade's second QPs as in `QPBuilder.sizes`."""
+    """Return n and m of a stored cascade's second QPs, as in `QPBuilder.sizes`."""
     if "demand" not in stored:
         return None
     if f"{ALLOCATED}_z" not in stored:
@@ -159,16 +151,16 @@ def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | No
     return stored[f"{ALLOCATED}_z"].shape[1], stored[f"{ALLOCATED}_y"].shape[1]
 
 
-def _arrays_of(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """The fields of optima as arrays, `name` before theirs."""
+def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
+    """Return the fields of optima as arrays, with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
     }
 
 
-def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
-    """The optima that `_arrays_of` made arrays of."""
+def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
+    """Return the optima of such arrays."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
         Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
@@ -179,12 +171,8 @@ def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
 def solve_exactly(scenario: Scenario) -> ExactLoop:
     """Run the scenario with the certified optimum of every step.
 
-    Where a step is proven to have no feasible point, as under hard limits, the loop follows its
-    last plan.
-
-    Raises
-    ------
-    CertificateError : when a step has neither a certified optimum nor that proof.
+    Where a step is proven to have no feasible point, the loop follows its last plan;
+    CertificateError when a step has neither.
     """
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
@@ -208,7 +196,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:
-    """The problem at rest in the reference with no force applied: what a workspace sets up with."""
+    """Return the problem at rest in the reference with no force, for the set-up."""
     problem = builder.control
     zero = np.zeros
     step = builder.emit(zero(problem.model.n_x), zero(problem.model.n_y), zero(problem.model.n_u))
@@ -224,12 +212,12 @@ def sequence_of(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """The QPs of `count` steps from `first` on along the exactly solved loop.
+    """Return the QPs of `count` steps from `first` on along the exactly solved loop.
 
     Raises
     ------
-    ResultsError : for steps that the loop has not.
-    InputError : for "allocation" where no second QP allocates.
+    ResultsError : the loop has no such steps.
+    InputError : "allocation" where no second QP allocates.
     """
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
@@ -237,7 +225,7 @@ def sequence_of(
         raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
-        emitted, base, scale = _allocations(scenario, exact, builder, steps)
+        emitted, base, scale = _allocation_steps(scenario, exact, builder, steps)
     else:
         emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
         base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
@@ -252,9 +240,9 @@ def sequence_of(
     return QPSequence(
         name=name,
         base=base,
-        P=_stack([step.P for step in emitted]),
-        A=_stack([step.A for step in emitted]),
-        **_vectors(emitted),
+        P=_stack_matrices([step.P for step in emitted]),
+        A=_stack_matrices([step.A for step in emitted]),
+        **_step_vectors(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -262,10 +250,10 @@ def sequence_of(
     )
 
 
-def _allocations(
+def _allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram, Units]:
-    """The second QPs of a cascade, the problem of the first of them, and its units."""
+    """Return the second QPs of a cascade, the problem of the first, and its units."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         allowed = 'a cascade with allocation = "qp"'
@@ -277,22 +265,21 @@ def _allocations(
 def _sparse_equivalent(
     scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
 ) -> SparseEquivalent:
-    """The QPs along θ (K, 16) from step `first` on with the states kept; InputError if refused."""
+    """Return the QPs along θ (K, 16) from step `first` on, with their states."""
     builder = QPBuilder(scenario, units, sparse=True)
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(name, staged.problem(steps[0]), **_vectors(steps))
+    sequence = QPSequence(name, staged.problem(steps[0]), **_step_vectors(steps))
     return SparseEquivalent(sequence, staged.condensed)
 
 
-def _vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
-    """The vectors of all steps."""
+def _step_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
-def _stack(matrices: list[Matrix | None]) -> Floats | None:
-    """The matrices of all steps, None where the steps bring none; none or all of them do."""
+def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
+    """Return the matrices of all steps, None where the steps bring none."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None
 
@@ -300,10 +287,5 @@ def _stack(matrices: list[Matrix | None]) -> Floats | None:
 def record_sequence(
     scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
 ) -> QPSequence:
-    """The QPs along the exactly solved loop of a scenario, in memory.
-
-    Parameters
-    ----------
-    part : "controller", or "allocation" for the second QPs of a cascade.
-    """
+    """Return the QPs along the exactly solved loop of a scenario, or of its allocation."""
     return sequence_of(scenario, solve_exactly(scenario), units=units, part=part)

@@ -1,7 +1,4 @@
-"""Fallback policies: the move where a solve left no usable answer (method.md section 3).
-
-A policy is a class of this file and its entry in `FALLBACKS`.
-"""
+"""Fallback policies: the move without a usable answer (method.md section 3)."""
 
 from __future__ import annotations
 
@@ -17,12 +14,11 @@ Law = Callable[[Vector, Vector, Vector], Vector]
 
 
 class FallbackPolicy:
-    """Moves the ship in steps without a usable answer; this one keeps the force.
+    """Moves the ship in steps without a usable answer; this one holds the force.
 
     Parameters
     ----------
-    N_c, n_u : moves of a plan and entries of each.
-    law : the unconstrained law of the controller.
+    N_c, n_u : moves of a plan and entries of each; law : of the controller.
 
     Attributes
     ----------
@@ -38,7 +34,7 @@ class FallbackPolicy:
         self._age, self._law = N_c, law
 
     def remember(self, plan: Matrix) -> Vector:
-        """Keep a usable plan (N_c, n_u) and return its first move."""
+        """Store a usable plan (N_c, n_u) and return its first move."""
         self._plan, self._age, self.acted = plan, 0, False
         first: Vector = plan[0]
         return first
@@ -50,7 +46,7 @@ class FallbackPolicy:
 
 
 class ShiftedPlan(FallbackPolicy):
-    """Follows the last usable plan, one move further each step, and holds when it is used up."""
+    """Follows the last usable plan, one move further each step, then holds."""
 
     follows_plans = True
 

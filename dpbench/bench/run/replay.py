@@ -1,9 +1,8 @@
 """Replay: byte-identical QPs through a solver, the only source of timing rankings.
 
-The whole sequence is replayed round by round in order, because a warm start lives on the previous
-step; round 0 is a shortened warm-up. Two fixed kernels are timed by turns before and after each
-round: the reference kernel feels the clock, so that a round in which the machine was slow is seen,
-the load kernel what else runs on the machine.
+The sequence is replayed round by round in order, as a warm start needs the previous step; round 0
+is a shortened warm-up. Two fixed kernels are timed by turns before and after each round: the
+reference kernel shows the clock of the core, the load kernel what else runs on the machine.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ PREROLL = 3
 
 @njit(cache=True)
 def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
-    """A dependent chain of multiply-adds, some 50 µs long: no cache misses, no branches."""
+    """Run a dependent chain of multiply-adds of some 50 µs, without cache misses."""
     s = 0.5
     for _ in range(100):
         for i in range(v.shape[0]):
@@ -35,27 +34,26 @@ def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
 
 _KERNEL_DATA = np.linspace(0.0, 1.0, 256)
 _LOAD_SIZE = 40
-"""Of the small arrays, as of a condensed QP."""
 _LOAD_MATRIX = np.eye(_LOAD_SIZE) + 0.01
 _LOAD_VECTOR = np.linspace(0.0, 1.0, _LOAD_SIZE)
 _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
-def _next(value: int) -> int:
+def _increment(value: int) -> int:
     return value + 1
 
 
 def _load_kernel() -> None:
-    """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what steps are made of.
+    """Run Python calls, small NumPy calls and a LAPACK inverse: some 60 µs of the work of steps.
 
-    Other work on a machine may slow all of it by a factor of two, which the dependent chain hardly
-    notices. Over 40 runs on such a machine the factor that 14 configurations had in common
-    correlated at 0.98 with that of these three parts, at 0.7 with that of the reference kernel, and
-    at 0.6 to 0.9 with those of walks through 256 kB and 1 MB.
+    Other load may slow all of it by a factor of two, which the dependent chain hardly shows. Over
+    40 runs on such a machine the factor that 14 configurations had in common correlated at 0.98
+    with that of these three parts, at 0.7 with the reference kernel, and at 0.6 to 0.9 with walks
+    through 256 kB and 1 MB.
     """
     value = 0
     for _ in range(100):
-        value = _next(value)
+        value = _increment(value)
     for _ in range(10):
         np.dot(_LOAD_MATRIX, _LOAD_VECTOR, out=_LOAD_RESULT)
         np.maximum(_LOAD_RESULT, _LOAD_VECTOR, out=_LOAD_RESULT)
@@ -63,10 +61,7 @@ def _load_kernel() -> None:
 
 
 def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """The smallest of a few timings of the reference kernel [ns].
-
-    By turns with it the load kernel is timed, once for each place of `load_kernel_ns` [ns].
-    """
+    """Return the smallest time of the reference kernel; fill `load_kernel_ns` [ns]."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()
@@ -84,12 +79,10 @@ class ReplayRun:
 
     Parameters
     ----------
-    sequence : the QPs; solver : timed; log : where each round goes.
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
-    limit_ns : own run time of all rounds together after which the configuration stops; of a round
-        that is run again because the machine was slow, the last attempt counts.
-    hung : (round, step) in which earlier processes of the replay hung, in their order; the log is
-        theirs. The last of these rounds goes on where it was, and no such step is tried again.
+    limit_ns : own run time of all rounds together; of a round that is run again the last counts.
+    hung : (round, step) in which earlier processes of the replay hung, in order; the log is theirs.
+        The last of these rounds goes on where it was, and no such step is tried again.
     """
 
     def __init__(
@@ -126,15 +119,15 @@ class ReplayRun:
             if k in self._hung:
                 continue
             solver.answer(solver.formulate(self.sequence.step(k)))
-            # Whoever remembers answers has seen this step now, and its time is in no row.
+            # A solver that remembers answers has seen this step now; its time is in no row.
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()
 
     def round(self, r: int) -> bool:
-        """Replay round r into its rows; False when the time limit stopped it.
+        """Replay round r into its rows; return False when the time limit stopped it.
 
-        The first `preroll` steps are solved without a record beforehand: the worker slept on its
-        pipe until now, and cold caches are no property of step 0.
+        The worker slept on its pipe until now, so the first steps are solved once before, to warm
+        caches.
         """
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)

@@ -1,27 +1,16 @@
 """A slow computer, and answers that come late (method.md section 3); time is simulated.
 
-An answer computed from the state at t_k has the latency L = slow-down × measured step time
-(set-up + update + solve + read). Where the kernel meanwhile gave the processor to others, which is
-this machine's doing and would be slowed down with it, the processor time stands for it. Within the
-budget the answer is applied at t_k itself, over [t_k, t_{k+1}): the convention of the ordinary
-loop, in which every answer is. Beyond the budget its deadline is missed, and it arrives at the
-first sample instant at or after t_k + L, that is at step k + ⌈L / T_s⌉ and never before k + 1.
-Until then the fallback steers, and no other computation begins: there is one processor. A step
-without an answer in time is a miss, whether its own computation was late or none could begin.
+An answer computed from the state at t_k has the latency L = slow-down × measured step time (set-up
++ update + solve + read), or × processor time where the kernel meanwhile gave the processor to
+others. Within the budget it is applied at t_k itself; beyond it at step k + ⌈L / T_s⌉, never before
+k + 1. Until then the fallback steers and, on one processor, no other computation begins.
 
-A plan that arrives i samples late is entered at the force it has after its move number i + 1, as a
-planned input trajectory is in delayed predictive control (Findeisen & Allgöwer 2004, "Computational
-delay in nonlinear model predictive control"): its moves before were planned from a force that other
-moves have meanwhile changed, so that move alone would not lead to the force it was planned for.
-After N_c moves the planned force stays. If the answer to the QP of that very step is in time too,
-it supersedes the late one.
+A plan that arrives i samples late is entered at the force it has after its move number i + 1, as in
+delayed predictive control (Findeisen & Allgöwer 2004, "Computational delay in nonlinear model
+predictive control"); after N_c moves the planned force stays. An answer to the QP of that very step
+supersedes it.
 
-With a backup (`backup.py`) nothing is computed beyond the sample. The backup begins when the first
-solver fails, or at the deadline, at which the first is stopped and its answer is lost. An answer of
-the backup that is there by the deadline is applied at t_k; one that is there by the end of the
-sample arrives at k + 1, as a late plan does; a later one is stopped too, and the fallback acts. A
-deadline that is the whole sample leaves a late solver's backup no time: then it steps in for
-failures alone, and a late answer arrives as it does without a backup.
+With a backup nothing is computed beyond the sample; docs/method.md states when it begins.
 """
 
 from __future__ import annotations
@@ -37,25 +26,22 @@ from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import spent_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.fallback_policies import FallbackPolicy
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]
-"""Counts so far: how often the kernel took the processor away, and processor time used [ns]."""
+"""Counts so far: involuntary switches, and processor time used [ns]."""
 NOT_RUN = (-1, -1, -1, -1)
 NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
-"""Stands for the QP of a step in which the processor is busy."""
+"""Placeholder for the QP of a step in which the processor is busy."""
 
 
 @dataclass(frozen=True)
 class ComputationalDelay:
-    """How slow the computer is, and how long it may take.
-
-    slowdown : ≥ 1; budget_ns : of a step; sample_ns : between two steps.
-    """
+    """Slow-down (≥ 1) of a computer, its budget for a step, and the sample time [ns]."""
 
     slowdown: float
     budget_ns: int
@@ -63,33 +49,33 @@ class ComputationalDelay:
 
     @property
     def simulated(self) -> bool:
-        """Whether answers may arrive late; without a slow-down the loop waits for each."""
+        """Return whether answers may arrive late; else the loop waits for each."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Latency of an answer that took so long here; at most what 64 bits hold."""
+        """Return the latency of an answer that took so long; at most 2^62."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
     def samples_late(self, latency_ns: int) -> int:
-        """Samples until an answer can be applied; 0 for one in time."""
+        """Return the samples until an answer applies; 0 for one in time."""
         if latency_ns <= self.budget_ns:
             return 0
         return max(1, -(-latency_ns // self.sample_ns))
 
 
 def usage_of_process() -> tuple[int, int]:
-    """Involuntary context switches and processor time [ns] of this process (getrusage)."""
+    """Return involuntary context switches and processor time [ns] (getrusage)."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
 def never_preempted() -> tuple[int, int]:
-    """Nobody else wants the processor."""
+    """Return the counts of a process that is never interrupted."""
     return 0, 0
 
 
 def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """The delay of a closed-loop cell; InputError for one that cannot be."""
+    """Return the delay of a closed-loop cell; InputError for one that cannot be."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -102,21 +88,17 @@ def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
 
 
 class SlowComputer:
-    """Solver and fallback of a loop on one slow processor; stands in for both in the loop.
+    """Solver and fallback of a loop on one slow processor; replaces both in the loop.
 
     Parameters
     ----------
-    delay : how slow; solver : timed; builder : of the run; law : what acts without an answer.
-    latency_ns : (K,) where the latency of each answer goes, −1 where no computation began.
-    usage : what the kernel says of this process.
-    backup : steps in where the solver fails or is stopped at its deadline; None for none.
+    latency_ns : (K,) receives the latency of each answer, −1 where no computation began.
+    backup : acts where the solver fails or is stopped at its deadline.
 
     Attributes
     ----------
-    phases_ns, waited_ns : as of `TimedSolver`, all −1 and 0 in a step in which no computation
-        began.
-    acted : whether the last move was the fallback's or the backup's, and not one of an answer of
-        the solver that is in time or arrived just now.
+    phases_ns, waited_ns : as of `TimedSolver`; −1 and 0 in a step without a computation.
+    acted : whether the last move was not of an answer that is in time or arrived just now.
     """
 
     def __init__(
@@ -155,11 +137,11 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the solver."""
+        """Updates of the solver."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
+        """Set up as `TimedSolver.prepare`, then solve until nothing is cold."""
         spent = self._solver.prepare()
         self._solver.warm_up(WARM_UP_SOLVES)
         if self._backup is not None:
@@ -167,7 +149,7 @@ class SlowComputer:
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k; `NO_STEP` while the processor is busy. A plan that is due arrives."""
+        """Emit the QP of step k, `NO_STEP` while busy; a plan that is due arrives."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
@@ -177,7 +159,7 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """The step in the formulation of the solver."""
+        """Return the step in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
@@ -185,7 +167,7 @@ class SlowComputer:
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
-        solution, latency_ns = self._timed(self._solver, step)
+        solution, latency_ns = self._time_answer(self._solver, step)
         self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
@@ -196,11 +178,11 @@ class SlowComputer:
             begins_ns = min(latency_ns, self._delay.budget_ns)
             missing = self._late or not is_usable(solution)
             if missing and begins_ns < self._delay.sample_ns:
-                self._step_in(self._backup, step, begins_ns)
+                self._solve_by_backup(self._backup, step, begins_ns)
         return solution
 
-    def _timed(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
-        """A solver's answer and its latency [ns]."""
+    def _time_answer(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
+        """Return a solver's answer and its latency [ns]."""
         switches, used_ns = self._usage()
         solution = solver.answer(step)
         switches_after, used_after_ns = self._usage()
@@ -213,9 +195,9 @@ class SlowComputer:
             step_ns = min(step_ns, used_after_ns - used_ns)
         return solution, self._delay.latency_ns(step_ns)
 
-    def _step_in(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
-        """Let the backup solve the step from `begins_ns` after t_k on, until the sample ends."""
-        answer, latency_ns = self._timed(backup.solver, step)
+    def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
+        """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
+        answer, latency_ns = self._time_answer(backup.solver, step)
         plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
@@ -224,48 +206,48 @@ class SlowComputer:
         if ready_ns <= self._delay.budget_ns:
             self._in_place = plan
         else:
-            self._expect(plan, of_backup=True)
+            self._store_late_plan(plan, of_backup=True)
 
-    def _expect(self, moves: Matrix, *, of_backup: bool) -> None:
-        """Keep a plan (N_c, n_u) that arrives when the processor is free."""
+    def _store_late_plan(self, moves: Matrix, *, of_backup: bool) -> None:
+        """Store a plan (N_c, n_u) that arrives when the processor is free."""
         self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
     def remember(self, moves: Matrix) -> Vector:
-        """Take the usable plan (N_c, n_u) of this step; Δu (n_u,) of what is at hand by now."""
+        """Take the usable plan (N_c, n_u) of this step; return Δu (n_u,)."""
         if self._stopped:
             self._solver.reset()
-            return self._go_on()
+            return self._move_without_answer()
         if self._late:
-            self._expect(moves, of_backup=False)
-            return self._go_on()
+            self._store_late_plan(moves, of_backup=False)
+            return self._move_without_answer()
         self._plan, self.acted = None, False
         return self._law.remember(moves)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Δu (n_u,) in a step that has no usable answer of its own."""
+        """Return Δu (n_u,) in a step without a usable answer of its own."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
         if self._busy or self._in_place is None:
-            return self._go_on()
+            return self._move_without_answer()
         self._plan = None
-        self._backup_acts()
+        self._mark_backup()
         return self._law.remember(self._in_place)
 
-    def _backup_acts(self) -> None:
+    def _mark_backup(self) -> None:
         """Mark the move of this step as one of the backup."""
         assert self._backup is not None, "a plan of its is at hand"
         self.acted = True
         self._backup.log.acted[self._k] = 1
 
     def reset(self) -> None:
-        """As `TimedSolver.reset`, unless the solver was not asked."""
+        """Reset the solver, unless it was not asked."""
         if not self._busy:
             self._solver.reset()
 
-    def _go_on(self) -> Vector:
-        """Δu (n_u,) without an answer in time: of the plan that arrives now, or the fallback's."""
+    def _move_without_answer(self) -> Vector:
+        """Return Δu (n_u,) of the plan that arrives now, or of the fallback."""
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
-            self._backup_acts()
+            self._mark_backup()
         if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u

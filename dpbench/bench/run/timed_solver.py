@@ -1,35 +1,35 @@
-"""The harness's side of a solver: its phases between two clock reads, its failures as data.
+"""A solver behind the clock: its phases between two clock reads, its failures as data.
 
-A step that hangs is ended after `step_limit_s`: by the library itself where it has an option for
-that, else by an alarm, which reaches whatever runs Python. A library that holds the interpreter is
-killed with its process, and the run goes on in another one behind that step (`ResumedSolver`, and
-`ReplayRun` of a replay).
+A step that hangs is ended after `step_limit_s`: by an option of the library, else by an alarm,
+which reaches whatever runs Python. A library that holds the interpreter is killed with its process,
+and the run goes on in another one after that step (`ResumedSolver`, `ReplayRun`).
 """
 
 from __future__ import annotations
 
 import math
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from types import FrameType
 
 import numpy as np
 
 from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
-from dpbench.bench.run.formulation import Formulated
-from dpbench.bench.run.run_delay import run_delay
+from dpbench.bench.run.formulation import Box
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, received
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
 STEP_SHARE = 0.25
-"""Of the run time that a cell is allowed: what one step may take of it."""
+"""Share of a cell's run time that one step may take."""
 MOST_HANGS = 3
-"""Steps of a run that may hang and be killed before its cell ends by it."""
+"""Hanging steps after which a run ends."""
 HUNG = "did not return and was killed"
-"""What is said of a step whose process hung in it."""
 _OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
 _OWN = slice(TIMES.index(OF_SOLVER[0]), TIMES.index(OF_SOLVER[-1]) + 1)
 
@@ -39,19 +39,18 @@ class StepTimeLimitError(TimeoutError):
 
 
 def is_usable(solution: Solution) -> bool:
-    """Whether a closed loop can apply an answer: by its status, and all of z is finite."""
+    """Return whether a closed loop can apply an answer: by its status, and all of z is finite."""
     return solution.status.usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:
-    """The harness's side of a workspace: formulation, phases and failures of one solver.
+    """Formulation, phases and failures of one workspace.
 
-    After `answer`, `phases_ns` holds set-up, update, solve and read of that step; −1 where a phase
-    did not take place. `waited_ns` is the part of them in which the machine ran something else, −1
-    where the kernel does not show it.
+    After `answer`, `phases_ns` holds set-up, update, solve and read of that step, −1 for none;
+    `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
     """
 
-    def __init__(self, workspace: Workspace, formulated: Formulated, clock: Clock) -> None:
+    def __init__(self, workspace: Workspace, formulated: Box, clock: Clock) -> None:
         self._workspace, self._formulated, self._clock = workspace, formulated, clock
         # Nothing the solver gets is what it is judged against, nor what a later step is made of.
         self._whole, self._given = formulated.base, formulated.base.copy()
@@ -73,7 +72,7 @@ class TimedSolver:
         return self._workspace.matrix_updates
 
     def prepare(self) -> int:
-        """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
+        """Set up before the first step; return the time [ns], −1 if each step does it."""
         if self._workspace.setup_every_step:
             return -1
         started = self._clock()
@@ -89,15 +88,15 @@ class TimedSolver:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the condensed QP; never raises for a solver, except
-        MemoryError.
+        """Solve one step and map the answer to the condensed QP.
 
-        An answer that is malformed is none, with the status ERROR.
+        No failure of a solver is raised, except MemoryError; a malformed answer has the status
+        ERROR.
         """
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
-        qp = self._problem(step) if setup_every_step else self._given
+        qp = self._restore_problem().at(step) if setup_every_step else self._given
         try:
             t0 = clock()
             if setup_every_step:
@@ -130,15 +129,11 @@ class TimedSolver:
         if self.interrupted:
             solution = Solution.missing(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
-            self._count(solution.detail)
+            self._count_detail(solution.detail)
         return formulated.solution(solution)
 
-    def _problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of a step, with matrices as they were before a solver wrote to them."""
-        return self._unwritten().at(step)
-
-    def _unwritten(self) -> QuadraticProgram:
-        """The problem that was handed over last, as it was before a solver wrote to it."""
+    def _restore_problem(self) -> QuadraticProgram:
+        """Return the problem handed over last, as it was before a solver wrote to it."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
             self._given = self._whole.copy()
@@ -150,8 +145,10 @@ class TimedSolver:
         return given
 
     def reset(self) -> None:
-        """Make the workspace forget an answer that was not usable; after an interrupt, which may
-        have left anything, it is set up anew."""
+        """Make the workspace forget an unusable answer.
+
+        After an interrupt, which may have left anything, it is set up anew.
+        """
         if self.interrupted:
             self.interrupted = ""
             self.renew()
@@ -159,26 +156,26 @@ class TimedSolver:
         try:
             self._workspace.reset()
         except Exception as error:
-            self._count(f"reset: {type(error).__name__}: {error}")
+            self._count_detail(f"reset: {type(error).__name__}: {error}")
 
     def renew(self) -> None:
         """Set the workspace up from nothing, with the matrices that hold now."""
         if self._workspace.setup_every_step:
             return
         try:
-            self._workspace.setup(self._unwritten())
+            self._workspace.setup(self._restore_problem())
         except Exception as error:
-            self._count(f"setup: {type(error).__name__}: {error}")
+            self._count_detail(f"setup: {type(error).__name__}: {error}")
 
-    def _count(self, detail: str) -> None:
+    def _count_detail(self, detail: str) -> None:
         self.details[detail] = self.details.get(detail, 0) + 1
 
     def missing(self, limit_ns: int) -> Solution:
-        """The answer to a step in which an earlier process hung for so long and was killed."""
+        """Return the answer to a step in which an earlier process hung and was killed."""
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
         answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
-        self._count(HUNG)
+        self._count_detail(HUNG)
         return self._formulated.solution(answer)
 
 
@@ -201,14 +198,13 @@ class ResumedSolver(TimedSolver):
     Parameters
     ----------
     answers : the log of the loop so far; at : the step that hung.
-    skips : whether this solver has no answer to that step, which then is said to have taken
-        `limit_ns`; false for one that is not known to have hung.
+    skips : whether this solver hung in it, for `limit_ns`, and has no answer to it.
     """
 
     def __init__(
         self,
         workspace: Workspace,
-        formulated: Formulated,
+        formulated: Box,
         clock: Clock,
         *,
         answers: AnswerLog,
@@ -222,12 +218,12 @@ class ResumedSolver(TimedSolver):
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the earlier process too."""
+        """Updates in the earlier process and in this one."""
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:
-        """The recorded answer up to the step that hung, and the solver's own behind it."""
-        k, answers = self._next(), self._answers
+        """Return the recorded answer up to the step that hung, then the solver's own."""
+        k, answers = self._next_step(), self._answers
         self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
             self.renew()
@@ -247,21 +243,21 @@ class ResumedSolver(TimedSolver):
             int(answers.reported_ns[0, k]),
         )
 
-    def _next(self) -> int:
-        """The step that is answered now: a slow computer does not ask in every one."""
+    def _next_step(self) -> int:
+        """Return the step that is answered now: a slow computer skips some."""
         self._k += 1
         while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
             self._k += 1
         return self._k
 
     def warm_up(self, times: int) -> None:
-        """As inherited, by the solver itself."""
+        """Warm up the solver itself."""
         at, self._at = self._at, -1
         super().warm_up(times)
         self._at, self._k = at, -1
 
     def reset(self) -> None:
-        """As inherited, of answers of its own."""
+        """Reset the solver, after answers of its own."""
         if self._k > self._at or (self._k == self._at and not self._skips):
             super().reset()
 
@@ -270,8 +266,8 @@ class ResumedSolver(TimedSolver):
 def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
     """Raise `StepTimeLimitError` in a call of a workspace that takes longer than `limit_s` [s].
 
-    It reaches what runs Python; a library that does not return gets to know nothing of it. No
-    alarm goes off in a run that is over before; a step that began since the last one is let be.
+    It reaches what runs Python. No alarm goes off in a run that ends before; a step that began
+    since the last alarm goes on.
     """
     limit_ns = round(limit_s * 1e9)
 
@@ -294,3 +290,50 @@ def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+_LONGEST = 96
+"""Bytes that three numbers of 64 bits take at most, with room to spare."""
+UNKNOWN = -1
+
+
+class RunDelay:
+    """Time that the thread making it was ready while the machine ran something else on its core.
+
+    The kernel's scheduler sums it up: the second number of `schedstat` in proc(5). Sleep, and
+    waiting for another thread, do not count.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._file = os.open("/proc/thread-self/schedstat", os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            # A kernel or a container that does not show it.
+            self._file = -1
+        self._before_ns = self._now_ns()
+
+    def _now_ns(self) -> int:
+        if self._file < 0:
+            return UNKNOWN
+        try:
+            return int(os.pread(self._file, _LONGEST, 0).split()[1])
+        except (OSError, IndexError, ValueError):
+            self._file = -1
+            return UNKNOWN
+
+    def since_last(self) -> int:
+        """Return the run delay since the last call, or the start [ns]; −1 if unknown."""
+        before_ns, now_ns = self._before_ns, self._now_ns()
+        self._before_ns = now_ns
+        return now_ns - before_ns if now_ns != UNKNOWN else UNKNOWN
+
+
+@cache
+def _thread_run_delay(thread: int) -> RunDelay:
+    return RunDelay()
+
+
+def run_delay() -> RunDelay:
+    """Return the one run delay of the calling thread, which all its solvers share."""
+    # The identifier of a forked child is its own, so that it opens a file of its own.
+    return _thread_run_delay(threading.get_native_id())

@@ -8,29 +8,23 @@ from typing import Any
 from dpbench.bench.capability.batch import all_points, allocation_sequence
 from dpbench.bench.capability.frontier import Frontier
 from dpbench.bench.capability.study import Capability, capability_of
-from dpbench.bench.capability.table import table_of
+from dpbench.bench.capability.table import capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel
 
 
 def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
-    """The capability of a ship with polygons and the QPs at its edge, certified, in one file.
-
-    Raises
-    ------
-    CertificateError : a QP has neither a certified optimum nor proof that there is none.
-    """
+    """Write the capability of a ship and the QPs at its edge, certified, to one file."""
     frontier = Frontier(vessel, sides)
     capability = capability_of(frontier)
     points = all_points(frontier, capability)
-    documents = {"capability": table_of(name, capability, points)}
+    documents = {"capability": capability_columns(name, capability, points)}
     save_sequence(path, allocation_sequence(frontier, points), documents=documents)
 
 
 def capability_in(path: Path) -> dict[str, list[Any]] | None:
-    """Return the table that `make_capability_boundary` left, as `write_capability` takes it; None
-    where it is gone."""
+    """Return the plot that `make_capability_boundary` wrote; None where it is gone."""
     try:
         table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
     except InputError:
@@ -43,16 +37,11 @@ def write_batch(frontier: Frontier, capability: Capability, folder: Path) -> Pat
 
     Parameters
     ----------
-    frontier : with polygons; capability : what it holds.
+    frontier : with polygons; capability : of it.
 
     Returns
     -------
-    The suite's file, beside `capability.npz`. It solves each QP once with every solver at its
-    default settings.
-
-    Raises
-    ------
-    CertificateError : a QP has neither a certified optimum nor proof that there is none.
+    The suite's file, beside `capability.npz`; it solves each QP once with default settings.
     """
     points = all_points(frontier, capability)
     folder.mkdir(parents=True, exist_ok=True)
@@ -75,4 +64,4 @@ cell_limit_s = 20.0
 sequence = "capability.npz"
 settings = ["default"]
 """
-"""Claims do not change from round to round, and a batch has no deadline: one round is enough."""
+"""One round is enough: claims do not change, and a batch has no deadline."""

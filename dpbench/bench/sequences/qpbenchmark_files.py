@@ -1,7 +1,6 @@
-"""Write a sequence as a test set of `qpbenchmark` 2.7: a Parquet table and the class reading it.
+"""Test sets of `qpbenchmark` 2.7: a Parquet table and the class reading it.
 
-The table holds what `qpbenchmark.ProblemList` holds: P, q, G, h, A, b, lb, ub, flattened by rows,
-and a name per problem. qpbenchmark itself is not needed to write it.
+The table has P, q, G, h, A, b, lb, ub, flattened by rows, and a name per problem.
 """
 
 from __future__ import annotations
@@ -55,13 +54,7 @@ class {class_name}(ParquetTestSet):
 
 
 def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
-    """Write `<stem>.parquet` and `<stem>.py`; the name of `out` without its suffix is the stem.
-
-    Steps without a certified optimum are left out, for qpbenchmark knows problems with one only.
-
-    Returns
-    -------
-    The two paths.
+    """Write `<stem>.parquet` and `<stem>.py`, without the steps that have no certified optimum.
 
     Raises
     ------
@@ -73,25 +66,25 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
         allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
         raise InputError("--out", "", repr(path.name), allowed)
     sequence = recorded.sequence
-    steps = with_optimum(recorded)
+    steps = steps_with_optimum(recorded)
     if not steps:
         raise InputError(sequence.name, "", "no step with a certified optimum", "one or more")
     table, code = path.with_suffix(".parquet"), path.with_suffix(".py")
     part = table.with_name(table.name + ".part")
     pq.write_table(problem_table(sequence, steps), part)
     part.replace(table)
-    code.write_text(_test_set(stem, sequence, len(steps)), encoding="utf-8")
+    code.write_text(_test_set_code(stem, sequence, len(steps)), encoding="utf-8")
     return table, code
 
 
-def with_optimum(recorded: Recorded) -> list[int]:
-    """The steps of a sequence whose optimum is certified."""
+def steps_with_optimum(recorded: Recorded) -> list[int]:
+    """Return the steps of a sequence whose optimum is certified."""
     optima = recorded.optima or []
     return [k for k, optimum in enumerate(optima) if np.isfinite(optimum.bound)]
 
 
 def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
-    """Some steps of a sequence as the table that `qpbenchmark.ParquetTestSet` reads."""
+    """Return some steps of a sequence as a table for `qpbenchmark.ParquetTestSet`."""
     first, every = (int(sequence.meta.get(*key)) for key in (("first", 0), ("every", 1)))
     digits = len(str(first + every * (len(sequence) - 1)))
     # Names tell the step of the run, and go on a command line without quotes.
@@ -108,17 +101,16 @@ def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
 
 
 def qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
-    """P, q, G, h, A, b, lb, ub of a problem in the form of qpsolvers, None where it has none.
+    """Return P, q, G, h, A, b, lb, ub of a problem in the form of qpsolvers, None for none.
 
-    Rows with l = u become equalities; of the others the upper sides come first, then the lower
-    ones, each without its infinite limits.
+    Rows with l = u become equalities; of the others the upper sides come first.
     """
     form = OneSidedForm(qp, "dense", "native")
     form.fill(qp.q, qp.l, qp.u)
     return {key: getattr(form, key) for key in KEYS}
 
 
-def _test_set(stem: str, sequence: QPSequence, count: int) -> str:
+def _test_set_code(stem: str, sequence: QPSequence, count: int) -> str:
     base = sequence.base
     title = f"dpbench {sequence.name}".replace("\\", "/").replace('"', "'")
     description = (

@@ -29,25 +29,20 @@ solvers read one triangle and some the whole."""
 
 
 def natural_order(folder: Path) -> list[Path]:
-    """The `.npz` files of a folder, numbers in their names compared as numbers.
-
-    Raises
-    ------
-    InputError : when there are none.
-    """
+    """Return the `.npz` files of a folder in natural order; InputError when there are none."""
     files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
     if not files:
         raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {WHAT}")
-    return sorted(files, key=lambda path: (_parts(path.stem), path.name))
+    return sorted(files, key=lambda path: (_name_parts(path.stem), path.name))
 
 
-def _parts(text: str) -> list[tuple[int, int, str]]:
+def _name_parts(text: str) -> list[tuple[int, int, str]]:
     parts = re.split(r"([0-9]+)", text)
     return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
 
 
 def is_problem(path: Path) -> bool:
-    """Whether a file has the arrays of one problem, and no array that says it is anything else."""
+    """Return whether a file has the arrays of one problem, and no format of its own."""
     try:
         with opened(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
@@ -57,12 +52,7 @@ def is_problem(path: Path) -> bool:
 
 
 def read_folder(place: Path) -> QPSequence:
-    """The problems of a folder, or the one of a file, as a sequence in the units they have.
-
-    Raises
-    ------
-    InputError : naming file, array, what was found and what is allowed.
-    """
+    """Return the problems of a folder, or of one file; InputError for a bad file."""
     files = natural_order(place) if place.is_dir() else [place]
     problems = [read_problem(path) for path in files]
     base = problems[0]
@@ -85,7 +75,7 @@ def read_folder(place: Path) -> QPSequence:
 
 
 def read_problem(path: Path) -> QuadraticProgram:
-    """One problem in two-sided form; InputError as `read_folder`."""
+    """Return one problem in two-sided form; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(path, WHAT)
     for name, packed in objects.items():
@@ -105,8 +95,8 @@ def read_problem(path: Path) -> QuadraticProgram:
         i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
         found = f"{P[i, j]:g} beside {P[j, i]:g} at its mirror place"
         raise InputError(where, f"P[{i}, {j}]", found, "a symmetric matrix")
-    G, h = _rows(arrays, where, ("G", "h"), n, "+")
-    A, b = _rows(arrays, where, ("A", "b"), n, "")
+    G, h = _read_rows(arrays, where, ("G", "h"), n, "+")
+    A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)
     lb, ub = (
         float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
@@ -119,10 +109,10 @@ def read_problem(path: Path) -> QuadraticProgram:
     )
 
 
-def _rows(
+def _read_rows(
     arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
 ) -> tuple[Vector, Vector]:
-    """A matrix of rows and its right-hand side; no rows where both are absent."""
+    """Return a matrix of rows and its right-hand side; no rows where both are absent."""
     matrix, vector = names
     present = [name for name in names if name in arrays]
     if not present:

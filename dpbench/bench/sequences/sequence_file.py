@@ -51,13 +51,12 @@ _TEXTS = ("format", "name", "meta", "documents")
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A sequence in scaled units with its certified optima, None where nobody has certified it yet.
+    """A sequence in scaled units with its certified optima, None where it is not certified yet.
 
     Parameters
     ----------
     units : what 1 is in SI; None where the QPs have no units but their own.
-    documents : what the scenario was made from (`Scenario.files`), or the capability plot that the
-        QPs are around; empty for another source.
+    documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
     """
 
     sequence: QPSequence
@@ -84,7 +83,6 @@ def save_sequence(
     ----------
     sequence : one in SI is written as its scaled form, with its units.
     optima : those of `certified`, which finds them where they are not given.
-    units, documents : as in `Recorded`.
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
@@ -119,11 +117,7 @@ def save_sequence(
 
 
 def active_set(optimum: Optimum) -> NDArray[np.int8]:
-    """The active limits (m + n,), rows of A before bounds: +1 upper, −1 lower, 0 neither.
-
-    Limits whose multiplier is at most `ACTIVE_MULTIPLIER` do not count; without a certified
-    optimum none does.
-    """
+    """Return the active limits (m + n,) of A, then bounds: +1 upper, −1 lower, 0 neither."""
     multiplier = np.concatenate((optimum.y, optimum.y_box))
     if not np.isfinite(optimum.bound):
         return np.zeros(len(multiplier), dtype=np.int8)
@@ -132,7 +126,7 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
 
 
 def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
-    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
+    """Return the QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
 
     Parameters
     ----------
@@ -140,8 +134,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
     Raises
     ------
-    InputError : naming file, array, what was found and what is allowed; also for a file that
-        does not say what its units are in SI.
+    InputError : for a bad file, or one without units in SI.
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
@@ -156,7 +149,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
 
 def load_recorded(path: str | Path) -> Recorded:
-    """What `save_sequence` wrote, optima and provenance included; InputError as `load_sequence`."""
+    """Return all that `save_sequence` wrote; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
@@ -166,22 +159,22 @@ def load_recorded(path: str | Path) -> Recorded:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
     if (version := count_of(arrays, where, "version")) != FORMAT_VERSION:
         raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
-    q, A = _two_axes(arrays, where, "q"), _two_axes(arrays, where, "A")
+    q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
-    sequence = _sequence(arrays, where, sizes, texts["name"], _meta(where, texts))
+    sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
     _, n, m = sizes
     units = Units(
         float_array(arrays, where, "unit_z", (n,)), float_array(arrays, where, "unit_row", (m,))
     )
     return Recorded(
         sequence,
-        _optima(arrays, where, sizes),
+        _read_optima(arrays, where, sizes),
         None if (units.z == 1.0).all() and (units.row == 1.0).all() else units,
-        _document(where, "documents", texts),
+        _read_document(where, "documents", texts),
     )
 
 
-def _sequence(
+def _read_sequence(
     arrays: Arrays, where: str, sizes: tuple[int, int, int], name: str, meta: dict[str, Any]
 ) -> QPSequence:
     K, n, m = sizes
@@ -204,7 +197,7 @@ def _sequence(
     return QPSequence(name, base, **vectors, meta=meta, **steps)
 
 
-def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
     K, n, m = sizes
     shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
     columns: list[Any] = [
@@ -224,7 +217,7 @@ def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Opt
     return [Optimum(*row) for row in rows]
 
 
-def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
@@ -234,7 +227,7 @@ def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     return array
 
 
-def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     try:
         document = parse_json(texts[name])
     except ValueError as error:
@@ -244,9 +237,9 @@ def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     return document
 
 
-def _meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
-    """The facts about a sequence; those the replay counts with are checked."""
-    meta = _document(where, "meta", texts)
+def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Return the facts about a sequence; those the replay counts with are checked."""
+    meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)
         whole = key == "sample_s" or isinstance(value, int)

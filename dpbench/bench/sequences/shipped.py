@@ -1,7 +1,4 @@
-"""The sequences that ship with the package: which there are, and how each was recorded.
-
-`problems/sequences/manifest.toml` states the rule; `regenerate` follows it.
-"""
+"""Sequences that ship with the package, by the rules of `problems/sequences/manifest.toml`."""
 
 from __future__ import annotations
 
@@ -48,11 +45,7 @@ class LeftOutTable(FileModel):
 
 
 class ManifestFile(FileModel):
-    """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out.
-
-    `steps` : how many samples of the loop of each scenario are run through; `allocations` : the
-    cascades whose second QPs are recorded as well.
-    """
+    """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out."""
 
     title: str
     horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
@@ -63,8 +56,7 @@ class ManifestFile(FileModel):
 
 @dataclass(frozen=True)
 class Rule:
-    """How one sequence is recorded: of the first `steps` samples of the exactly solved loop under
-    the horizons N_p/N_c, each `every`-th; `part` as in `record`."""
+    """Recording of each `every`-th of the first `steps` samples of a loop; see `record`."""
 
     scenario: str
     N_p: int
@@ -75,38 +67,29 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """The name of the sequence, and of its file without `.npz`."""
+        """Name of the sequence, and of its file without `.npz`."""
         horizons = f"{self.N_p}-{self.N_c}" if self.part == "controller" else self.part
         return f"{self.scenario}-{horizons}"
 
     def record(self, steps: int | None = None) -> Recorded:
-        """The sequence, or its beginning from the first `steps` samples."""
+        """Record the sequence, or its beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
-        # Second QPs are of one size: nobody asks for them under other horizons than the own ones.
+        # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
         steps = steps or self.steps
         return record(scenario, horizons=horizons, steps=steps, every=self.every, part=self.part)
 
 
 def manifest_path() -> Path:
-    """The shipped manifest."""
+    """Return the path of the shipped manifest."""
     return problems_root() / SEQUENCES / "manifest.toml"
 
 
 def stored_rules(path: Path | None = None) -> list[Rule]:
-    """The rules of the sequences that ship, in the order they are recorded.
-
-    Parameters
-    ----------
-    path : a manifest; None for the shipped one.
-
-    Raises
-    ------
-    InputError : when the manifest leaves out what its rule would not have.
-    """
+    """Return the rules of a manifest (None: the shipped one), in order; InputError if bad."""
     place = path or manifest_path()
     manifest = read_model(place, ManifestFile)
-    rules = {rule.name: rule for rule in _all_rules(manifest)}
+    rules = {rule.name: rule for rule in _expand_rules(manifest)}
     for table in manifest.left_out:
         for name in table.sequences:
             if rules.pop(name, None) is None:
@@ -115,7 +98,7 @@ def stored_rules(path: Path | None = None) -> list[Rule]:
     return list(rules.values())
 
 
-def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
+def _expand_rules(manifest: ManifestFile) -> Iterator[Rule]:
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield Rule(scenario, table.prediction, table.control, steps, table.every)
@@ -128,18 +111,10 @@ def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
 def regenerate(
     out: str | Path, rules: Sequence[Rule] | None = None, progress: Progress | None = None
 ) -> str:
-    """Record stored sequences again into the folder `out`; one line of what was written.
+    """Record stored sequences again into the folder `out`; return one line on them.
 
     The same machine and versions write the same bytes; others the same shapes and active sets, and
-    values to rounding.
-
-    Parameters
-    ----------
-    rules : those of `stored_rules`; None for all.
-
-    Raises
-    ------
-    CertificateError : when a step has neither a certified optimum nor proof that there is none.
+    values to rounding. CertificateError when a step cannot be certified.
     """
     wanted, folder, shown = list(rules or stored_rules()), Path(out), progress or Silent()
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
-"""The files behind the QPs of cells: made once a source, in a process of its own, then read by
-workers and evaluators. A file holds the exactly solved loop, or a sequence with its certified
-optima.
+"""The files behind the QPs of cells: made once a source, then read by workers and evaluators.
+
+A file has the exactly solved loop, or a sequence with its certified optima.
 """
 
 from __future__ import annotations
@@ -8,26 +8,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
+from dpbench.bench.record import qp_source
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.npz import kept
-from dpbench.bench.record.qp_source import (
-    CapabilitySource,
-    ConsequenceSource,
-    ControllerSource,
-    HardestSource,
-    QPSource,
-    RandomSource,
-    RecordedSource,
-)
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
-from dpbench.bench.sequences.consequence import consequence_sequence, steered_rows
-from dpbench.bench.sequences.hardest import first_of_hardest
+from dpbench.bench.sequences.loop_sequences import (
+    consequence_sequence,
+    find_hardest_window,
+    steered_rows,
+)
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
@@ -42,35 +37,18 @@ from dpbench.ship.layout import AXES
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What a replay needs: the QPs, the time between them [s], and their optima if known."""
+    """The QPs of a replay, the time between them [s], and their optima if known."""
 
     sequence: QPSequence
     sample_s: float
     optima: list[Optimum] | None
 
 
-class SourceFile(Protocol):
-    """Makes the file behind the replays of one problem, and reads it."""
-
-    def make(self, path: Path) -> None:
-        """Do what takes long into `path` (.npz); CertificateError when it cannot be done."""
-
-    def load(self, path: Path) -> Replayed:
-        """Return the QPs of the cell, from what `make` left at `path`."""
-
-    def check(self, path: Path) -> None:
-        """Read all of what `make` left; ResultsError or InputError where it is damaged or gone."""
-
-    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        """Return n and m of the QPs, by the arrays that `make` left."""
-
-
 _latest: dict[tuple[str, Path], Replayed] = {}
 
 
 def replayed(cell: Cell, path: Path) -> Replayed:
-    """What a replay needs, with its optima: read, and if need be certified, once a process for all
-    cells in a row that see the same QPs."""
+    """Return the certified QPs of a replay, read once for all cells in a row that share them."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
@@ -80,7 +58,7 @@ def replayed(cell: Cell, path: Path) -> Replayed:
 
 
 def is_readable(cell: Cell, path: Path) -> bool:
-    """Whether the file behind a cell's QPs can be read to its end."""
+    """Return whether the file behind a cell's QPs can be read to its end."""
     try:
         source_file(cell).check(path)
     except InputError:
@@ -89,12 +67,7 @@ def is_readable(cell: Cell, path: Path) -> bool:
 
 
 def log_size(cell: Cell, path: Path) -> int:
-    """Bytes of the raw log of a cell, by the sizes in the file behind its QPs.
-
-    Raises
-    ------
-    ResultsError : the file is damaged or gone.
-    """
+    """Return the size of a cell's raw log [B]; ResultsError without the file of its QPs."""
     with kept(path) as stored:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
@@ -120,7 +93,7 @@ class _Loop:
         scenario, exact = scenario_once(cell.scenario), ExactLoop.load(path)
         first = cell.first
         if cell.is_window:
-            first = first_of_hardest(exact.optima, first, cell.last_step - first, cell.steps)
+            first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
         sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
         optima = exact.optima[first : first + cell.steps]
         return Replayed(sequence, scenario.sample_s, optima)
@@ -136,9 +109,9 @@ class _Loop:
 
 @dataclass(frozen=True, eq=False)
 class _Consequence(_Loop):
-    """What remains after the loss of a failure group, at each sample of the same loop."""
+    """The loss of a failure group, at each sample of that loop."""
 
-    source: ConsequenceSource
+    source: qp_source.ConsequenceSource
 
     def load(self, path: Path) -> Replayed:
         cell, scenario = self.cell, scenario_once(self.cell.scenario)
@@ -159,7 +132,7 @@ class _Consequence(_Loop):
 
 
 class _Stored:
-    """A sequence with its optima in a file of our own, whatever it was made from."""
+    """A sequence with its optima in a file of our own."""
 
     def load(self, path: Path) -> Replayed:
         recorded = load_recorded(path)
@@ -176,9 +149,9 @@ class _Stored:
 
 @dataclass(frozen=True, eq=False)
 class _Random(_Stored):
-    """A random sequence; its optima are certified once, as some take a second each."""
+    """A random sequence, certified once, as some optima take a second each."""
 
-    source: RandomSource
+    source: qp_source.RandomSource
 
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.source.recipe)
@@ -187,9 +160,9 @@ class _Random(_Stored):
 
 @dataclass(frozen=True, eq=False)
 class _Capability(_Stored):
-    """The QPs at the capability boundary; in the same file the plot they are around."""
+    """The QPs at the capability boundary, with the plot in the same file."""
 
-    source: CapabilitySource
+    source: qp_source.CapabilitySource
 
     def make(self, path: Path) -> None:
         source = self.source
@@ -199,9 +172,9 @@ class _Capability(_Stored):
 
 @dataclass(frozen=True, eq=False)
 class _Recorded(_Stored):
-    """What others recorded; their optima are not believed but certified again."""
+    """A sequence from a file of others, whose optima are certified again."""
 
-    source: RecordedSource
+    source: qp_source.RecordedSource
 
     def make(self, path: Path) -> None:
         origin = sequence_path(self.source.path)
@@ -213,18 +186,27 @@ class _Recorded(_Stored):
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
 
 
+SourceFile = _Loop | _Random | _Capability | _Recorded
+"""The file behind the replays of one problem.
+
+`make` writes it, which may take long (CertificateError when it cannot be done), `load` returns the
+QPs of the cell, `check` reads all of it (ResultsError or InputError where it is damaged), and
+`size` returns n and m of the QPs by its arrays.
+"""
+
+
 def source_file(cell: Cell) -> SourceFile:
     """Return the file behind a cell's QPs."""
     match cell.source:
-        case ControllerSource() | HardestSource():
+        case qp_source.ControllerSource() | qp_source.HardestSource():
             return _Loop(cell)
-        case ConsequenceSource() as source:
+        case qp_source.ConsequenceSource() as source:
             return _Consequence(cell, source)
-        case RandomSource() as source:
+        case qp_source.RandomSource() as source:
             return _Random(source)
-        case CapabilitySource() as source:
+        case qp_source.CapabilitySource() as source:
             return _Capability(source)
-        case RecordedSource() as source:
+        case qp_source.RecordedSource() as source:
             return _Recorded(source)
-        case QPSource() as source:
+        case qp_source.QPSource() as source:
             raise TypeError(f"no file is made of {source}")

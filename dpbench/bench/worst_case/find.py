@@ -1,10 +1,9 @@
-"""`dpbench worst-case`: the worst step of one solver, searched for over starts and disturbances.
+"""`dpbench worst-case`: the worst step of one solver, over starts and disturbances.
 
-A point of the `SearchSpace` makes a scenario; its exactly solved loop gives a short sequence of
-QPs; the solver answers it in a process of its own; the worst step of the judged answers is the
-point's score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy)
-from a Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same
-case.
+A point of the `SearchSpace` makes a scenario; the solver answers the QPs of its exactly solved loop
+in a process of its own; the worst of these steps is the point's score. Differential evolution
+(Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a Sobol sample maximises it. The
+same seed and versions find the same case.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any
 from dpbench.bench.plan.configurations import module_of
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.interrupts import first_signal_only
@@ -40,14 +39,12 @@ _WORDS = {"timed_out": "slow"}
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """What a search found.
+    """Result of a search.
 
     Parameters
     ----------
-    goal, cell : what was solver_process, and how it was run on which scenario.
-    search : baseline, best case and failures.
-    path : where the best case is saved; nothing is there where there is none.
-    failures : where the first case of each failure is saved, by its name in `search.failures`.
+    cell : how the solver was run on which scenario; search : baseline, best case and failures.
+    path : of the best case, if there is one; failures : of the first case of each failure.
     """
 
     goal: Goal
@@ -63,7 +60,7 @@ class WorstCase:
 
     @property
     def beats_baseline(self) -> bool:
-        """Whether it is worse than any step of the scenario itself."""
+        """Return whether it is worse than any step of the scenario itself."""
         own = self.search.baseline
         return self.worst is not None and (own is None or self.worst.objective > own.objective)
 
@@ -111,18 +108,15 @@ def find_worst_case(
 ) -> WorstCase:
     """Search for the worst step of a solver and save its sequence, which replays to the same.
 
+    Ctrl-C ends the search early with the best case so far.
+
     Parameters
     ----------
     scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
-    route, policy, settings : how the solver is run; None is native where it has that route.
-    budget : cases tried; steps : length of each; seed : of the search.
-    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. A case that crashes or hangs the
-        solver goes beside it.
-    progress : told how far the search is.
-
-    Returns
-    -------
-    The search. Ctrl-C ends it early with the best case so far.
+    route, policy, settings : of the solver; no route is native where it has that.
+    budget : cases tried; steps : length of each.
+    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. The first case that crashes or
+        hangs the solver is saved beside it.
 
     Raises
     ------
@@ -130,13 +124,13 @@ def find_worst_case(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    _check(goal, budget, steps, seed)
+    _check_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
-    cell = _cell(solver, route, policy, settings, base)
-    _make_room(path)
+    cell = _replay_cell(solver, route, policy, settings, base)
+    _check_writable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():
         context = template_context([solver])
@@ -146,11 +140,11 @@ def find_worst_case(
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
             search.run(base, seed)
-        return _saved(WorstCase(goal, cell, search, path, {}), seed)
+        return _save_findings(WorstCase(goal, cell, search, path, {}), seed)
 
 
-def _check(goal: str, budget: int, steps: int, seed: int) -> None:
-    """InputError that names the option whose value cannot be."""
+def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
+    """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
     for option, value, least in (("--budget", budget, 1), ("--seed", seed, 0)):
@@ -160,8 +154,8 @@ def _check(goal: str, budget: int, steps: int, seed: int) -> None:
         raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
 
 
-def _make_room(path: Path) -> None:
-    """InputError unless the file can be written: before a search of minutes, not after it."""
+def _check_writable(path: Path) -> None:
+    """Check before a search of minutes that the file can be written; InputError if not."""
     trial = path.with_name(path.name + ".part")
     try:
         if path.is_dir():
@@ -174,8 +168,10 @@ def _make_room(path: Path) -> None:
         raise InputError("--out", "", reason, "a file that can be written") from error
 
 
-def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
-    """The replay of the scenario itself; what cannot run is said when its solver is opened."""
+def _replay_cell(
+    solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
+) -> Cell:
+    """Return the replay of the scenario itself."""
     row = record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
@@ -193,8 +189,8 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
     )
 
 
-def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Write what was found."""
+def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
+    """Write the worst case and the failures."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,
@@ -208,17 +204,17 @@ def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
         "evaluations": search.evaluations,
     }
     if search.best is not None:
-        _write(path, search.best, facts)
+        _save_case(path, search.best, facts)
     places = {
         what: path.with_name(f"{path.stem}-{_WORDS.get(what, what)}.npz")
         for what in search.failures
     }
     for what, place in places.items():
-        _write(place, search.failures[what][1], facts)
+        _save_case(place, search.failures[what][1], facts)
     return replace(worst_case, failures=places)
 
 
-def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
+def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
     scenario, worst = case.scenario, case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:

@@ -1,9 +1,9 @@
-"""The search itself: cases by differential evolution, the worst of them kept.
+"""Search by differential evolution, which keeps the worst case.
 
 The solver answers one sequence after the other in a process of its own; one that crashes or hangs
-costs the sequence it failed on. Every sequence is answered by a new workspace in the way
-`notebook.runs.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
-found replays to the same figures.
+costs the sequence it failed on. Every sequence is answered by a new workspace as in
+`notebook.runs.replay` and a campaign (a warm-up round, then one that counts), so that a case
+replays to the same figures.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dpbench.scenario.scenario import Scenario
 CASE_LIMIT_S = 5.0
 """Run time of one case; a solver that takes longer hangs."""
 BASELINE_LIMIT_S = 60.0
-"""Run time of the scenario's own sequence; of a slower solver it is the steps until then."""
+"""Run time of the scenario's own sequence; a slower solver answers part of it."""
 _POPULATIONS = (8, 16, 32)
 """Points that evolve together: powers of two, for which a Sobol sample is balanced."""
 
@@ -44,24 +44,18 @@ class _BudgetError(Exception):
 
 
 class SearchedSolver:
-    """One configuration, ready to answer sequences.
+    """One configuration, ready to answer sequences; InputError if it cannot run.
 
     Parameters
     ----------
-    context : what forks its processes; folder : where they leave raw logs.
-    cell : the configuration: solver, route, policy, settings, formulation, rounds, plug-in; what
-        else a cell says is not looked at.
-
-    Raises
-    ------
-    InputError : the configuration cannot run, for the reason it gives.
+    context : forks its processes; folder : for their raw logs; cell : the configuration.
     """
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
-        self._start()
+        self._start_process()
 
-    def _start(self) -> None:
+    def _start_process(self) -> None:
         args = (self._cell.to_json(), self._folder, "searched")
         self._child = ServingChild(
             self._context, answer_sequences, args, self._folder, "searched", limit_s=None
@@ -75,13 +69,7 @@ class SearchedSolver:
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
-        """Replay a sequence in at most `limit_s` of run time, and judge the answers.
-
-        Returns
-        -------
-        What became of the process (`finished`, `timed_out`, `hung`, `crashed` or `lost`), and the
-        judged columns of the steps it came to, None where there are none.
-        """
+        """Replay a sequence in `limit_s`; return the outcome and the evaluated columns."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
@@ -92,7 +80,7 @@ class SearchedSolver:
             outcome = Outcome("timed_out", f"the sequence took more than {limit_s:g} s")
         elif completed is not True:
             outcome = self._child.dismiss()
-            self._start()
+            self._start_process()
         if not raw.exists():
             return outcome, None
         sample_s = float(sequence.meta.get("sample_s", float("nan")))
@@ -105,10 +93,7 @@ class SearchedSolver:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A variant of a scenario, its QPs, what became of the solver's process, the worst answer.
-
-    `worst` is None where the process did not finish, or no step has a figure.
-    """
+    """A variant of a scenario, its QPs, the process's outcome, and its worst step, if any."""
 
     scenario: Scenario
     sequence: QPSequence
@@ -119,16 +104,11 @@ class Case:
 class Search:
     """One search.
 
-    Parameters
-    ----------
-    solver_process : the solver; space : the cases; goal : what makes one worse than another.
-    budget : cases to try; progress : told how far the search is.
-
     Attributes
     ----------
-    baseline, baseline_outcome : the worst step of the scenario itself, as in `Case`.
-    best : the worst case so far, the first of equals; None where none had a figure.
-    failures : by what became of the process: how many cases, and the first of them.
+    baseline, baseline_outcome : of the scenario itself, as in `Case`.
+    best : the first of the worst cases so far; None where none had a figure.
+    failures : by outcome of the process: how many cases, and the first of them.
     evaluations : cases tried; stopped : why the budget is not spent, "" where it is.
     """
 
@@ -150,25 +130,25 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """See what the scenario itself demands, then spend the budget; Ctrl-C ends it early.
+        """Evaluate the scenario itself, then spend the budget; Ctrl-C ends it early.
 
         Raises
         ------
         InputError : the goal is iterations and the solver counts none, or a case cannot be made.
         CertificateError : a step of the scenario itself cannot be certified.
         """
-        # A length that cannot be is said before anything runs.
+        # An impossible length is an error before anything runs.
         self._space.scenario(np.zeros(self._space.dimensions))
         self._progress.start(self._budget)
         try:
-            self._see(base)
-            self._climb(np.random.default_rng(seed))
+            self._evaluate_baseline(base)
+            self._evolve(np.random.default_rng(seed))
         except _BudgetError:
             return
         except KeyboardInterrupt:
             self.stopped = "interrupted"
 
-    def _see(self, base: Scenario) -> None:
+    def _evaluate_baseline(self, base: Scenario) -> None:
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
         outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
@@ -177,14 +157,14 @@ class Search:
             allowed = "a solver that counts its iterations on this route, or --goal error"
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
-    def _climb(self, rng: np.random.Generator) -> None:
+    def _evolve(self, rng: np.random.Generator) -> None:
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
         while not self.stopped:
             first = qmc.Sobol(d, seed=rng).random(size)
             differential_evolution(
-                self._cost,
+                self._point_cost,
                 Bounds(-np.ones(d), np.ones(d)),
                 init=2.0 * first - 1.0,
                 maxiter=self._budget,
@@ -193,17 +173,17 @@ class Search:
                 seed=rng,
             )
 
-    def _cost(self, point: Floats) -> float:
-        """Minus the score of a point; infinite where it has none."""
+    def _point_cost(self, point: Floats) -> float:
+        """Return minus the score of a point; infinite where it has none."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
-        worst = self._try(point)
+        worst = self._evaluate_case(point)
         known = None if self.best is None else self.best.worst
         self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
         return np.inf if worst is None else -worst.score
 
-    def _try(self, point: Floats) -> Worst | None:
+    def _evaluate_case(self, point: Floats) -> Worst | None:
         try:
             scenario = self._space.scenario(point)
             sequence = record_sequence(scenario)
@@ -213,7 +193,7 @@ class Search:
         try:
             outcome, evaluated = self._solver_process.answer(sequence, CASE_LIMIT_S)
         except InputError as error:
-            # It ran before, so nobody's input is to blame; what was found so far is kept.
+            # The solver ran before, so the input is right; the best case so far is kept.
             self.stopped = f"stopped: {error}"
             raise _BudgetError from error
         if outcome.outcome == "lost":

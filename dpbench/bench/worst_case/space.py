@@ -1,19 +1,18 @@
-"""What a search may change of a scenario: how the ship starts, and what pushes it.
+"""Search space of a scenario: how the ship starts, and what pushes it.
 
-A point x in [−1, 1]^d makes a scenario with documents of its own, so that what is found is as
-legitimate as any file under `problems/scenarios/` and can be made again from its documents:
+A point x in [−1, 1]^d makes a scenario with documents of its own, as any file under
+`problems/scenarios/`:
 
-    x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], so that small offsets
-            are looked at as closely as large ones
+    x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], which samples small
+            offsets as closely as large ones
     x[3:6]  speed at the start over ground, along the ship's axes: sign(x)·x²·reach [m/s, rad/s]
     x[6:9]  steady force: x · what the thrusters can hold
-    x[9:12] force that comes on top of it within one sample and stays: 2 · x · what they can hold,
-            which is enough to turn the sum about
+    x[9:12] force added within one sample, which stays: 2 · x · what they can hold, enough to
+            reverse the sum
     x[12]   when that happens, from the first sample to the last
     x[13]   when the first fault happens; only where the scenario has faults
 
-The force applied before is what comes of it: a run starts with none (method.md section 3), and is
-long enough for the thrusters to reach their limits.
+A run starts without force (method.md section 3), and is long enough to reach the limits.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ from dpbench.scenario.scenario import Scenario, scenario_of
 from dpbench.ship.froude import Froude
 
 REACH = np.array([20.0, 20.0, np.radians(20.0)])
-"""Offsets that are looked at in any case [m, m, rad], at full size: those of a large move, within
-the 30° in which a linearised model is fine."""
+"""Smallest reach of the start [m, m, rad], at full size: that of a large move.
+
+It is within the 30° in which a linearised model is fine.
+"""
 SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
-"""Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
-to its station."""
+"""Smallest reach of the speed [m/s, m/s, rad/s], at full size: a ship that arrives."""
 _KN_PER_N = 1e-3
 _START, _SPEED, _STEADY, _ON_TOP = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _WHEN, _FIRST_FAULT = 12, 13
-"""Where in a point each stands, see above."""
 
 
 class SearchSpace:
@@ -46,8 +45,7 @@ class SearchSpace:
     ----------
     scenario : whose ship, controller, estimator and weather all variants share; a start further
         from the reference than `REACH`, or faster than `SPEED_REACH`, widens the reach.
-    steps : length of each variant in samples, whatever the scenario's own.
-    name : of the variants.
+    steps : length of each variant in samples; name : of the variants.
     """
 
     def __init__(self, scenario: Scenario, steps: int, name: str) -> None:
@@ -68,11 +66,11 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> int:
-        """d, the length of a point."""
+        """Length d of a point."""
         return _FIRST_FAULT if self._first_fault_s is None else _FIRST_FAULT + 1
 
     def scenario(self, point: Vector) -> Scenario:
-        """The variant at a point (d,) of [−1, 1]^d."""
+        """Return the variant at a point (d,) of [−1, 1]^d."""
         files = copy.deepcopy(self._files)
         files["name"] = self._name
         table = files["scenario"]
@@ -96,7 +94,7 @@ class SearchSpace:
         weather["mean_kN"] = (point[_STEADY] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _moment(point[_WHEN], duration_s, sample_s),
+                "start_s": _time_of_share(point[_WHEN], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
@@ -104,12 +102,12 @@ class SearchSpace:
             }
         )
         if self._first_fault_s is not None:
-            later = _moment(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
+            later = _time_of_share(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
         return scenario_of(files, where=f"variant of {self._name}")
 
 
-def _moment(share: float, duration_s: float, sample_s: float) -> float:
-    """−1 is the first sample of a run, 1 its last [s]."""
+def _time_of_share(share: float, duration_s: float, sample_s: float) -> float:
+    """Return the time from the first sample (−1) to the last (1) [s]."""
     return float(0.5 * (1.0 + share) * (duration_s - sample_s))

@@ -15,11 +15,9 @@ INTACT = Case("intact", frozenset())
 
 @pytest.fixture(scope="session")
 def circles() -> Frontier:
-    """Of Ratownik, with circles."""
     return Frontier(load_vessel("ratownik"))
 
 
 @pytest.fixture(scope="session")
 def held_intact(circles: Frontier) -> list[Held]:
-    """What it holds intact from each direction."""
     return [circles.held(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]

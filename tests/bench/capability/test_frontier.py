@@ -42,20 +42,17 @@ def test_numbers_of_a_second_ship_are_the_published_ones(sides: int | None) -> N
 
 
 def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[Held]) -> None:
-    """From the row that is held to the next, which is not."""
     for held in held_intact:
         low, high = (DP_CONDITIONS[held.number + step][0] for step in (0, 1))
         assert low <= held.wind_mps < high
 
 
 def test_port_and_starboard_hold_the_same(held_intact: list[Held]) -> None:
-    """A symmetric ship, to what winds are found to."""
     winds = np.array([held.wind_mps for held in held_intact])
     np.testing.assert_allclose(winds[1:], winds[:0:-1], atol=3e-4)
 
 
 def test_failures_on_either_side_are_mirror_images(circles: Frontier) -> None:
-    """The loss of one stern azimuth from one side is that of the other from the other side."""
     for from_deg in (20.0, 90.0, 170.0, 200.0):
         port, starboard = (
             circles.held(Case("", frozenset({lost})), math.radians(side * from_deg)).wind_mps
@@ -65,7 +62,6 @@ def test_failures_on_either_side_are_mirror_images(circles: Frontier) -> None:
 
 
 def test_a_stronger_wind_asks_for_more(circles: Frontier) -> None:
-    """The least utilisation rises with the wind, along the chosen piece and over all of them."""
     for from_deg in (0.0, 45.0, 100.0, 160.0):
         uses = [
             circles.best(INTACT, math.radians(from_deg), w)[0] for w in np.arange(2.0, 30.0, 4.0)
@@ -75,7 +71,6 @@ def test_a_stronger_wind_asks_for_more(circles: Frontier) -> None:
 
 @pytest.mark.parametrize("case", ["board A", "board B"])
 def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str) -> None:
-    """osv has no zones and no losses by direction, so a failure only takes away."""
     frontier = Frontier(load_vessel("osv"))
     intact, *failures = frontier.cases
     failure = next(one for one in failures if one.name == case)
@@ -86,8 +81,7 @@ def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str
 
 
 def test_polygons_become_the_circle_with_order_two() -> None:
-    """Twice the sides give away a quarter of the thrust, the most over 24 directions; and each less
-    than 1 − cos(π/s) and never less than none."""
+    """Twice the sides give away a quarter of the thrust, the most over 24 directions."""
     vessel, wind_mps = load_vessel("osv"), 20.0
     directions = [math.radians(15.0 * k + 4.0) for k in range(24)]
     circle = np.array([Frontier(vessel).best(INTACT, angle, wind_mps)[0] for angle in directions])
@@ -156,7 +150,6 @@ def test_a_ship_that_can_push_sideways_only_holds_nothing() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    """No thrusters, no hull, no polygon."""
     with pytest.raises(InputError, match="thrusters: found none"):
         Frontier(load_vessel("supply_fs99"))
     with pytest.raises(InputError, match="capability: found nothing"):

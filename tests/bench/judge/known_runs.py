@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.judge.force_limits import axis_limit_metrics, joint_limit_metrics
-from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench import open_workspace
+from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace
 from dpbench.mpc.thruster_rows import Limits
@@ -87,16 +96,10 @@ def metrics_of(
     exact: ExactLoop | None = None,
     scenario: Scenario | None = None,
 ) -> dict[str, float]:
-    """Return the control metrics of a run.
+    """Return the control metrics of a run; what is not given is zero, or the ship's own.
 
-    Parameters
-    ----------
-    pose : (K + 1, 3) north, east, heading [m, m, rad] at the sample times.
-    u : (K, n_u) what was applied; None for nothing.
-    velocity : (K + 1, 3) of the ship; None for a ship at rest.
-    reference : (K + 1, 3) or more; None for zero.
-    limits : least and most force of each sample (K, 3) or more; None for the ship's own.
-    exact : the exactly solved loop; None for one that stays at zero.
+    pose, velocity, reference : (K + 1, 3); pose in [m, m, rad]. u : (K, n_u).
+    limits : least and most force of each sample (K, 3).
     """
     ship = round_ship() if scenario is None else scenario
     K = len(pose) - 1
@@ -118,3 +121,18 @@ def metrics_of(
     for group in set(of_limits) & set(ship.controller.metric_groups):
         metrics |= of_limits[group](ship, applied, in_force)
     return metrics
+
+
+def judged_loop(
+    change: Callable[[RawLog], Any] | None, name: str, units: str, steps: int
+) -> tuple[Evaluated, RawLog, Cell]:
+    """Return a short loop by daqp, its log changed before it is judged."""
+    case = load_scenario(name).first(steps)
+    given: dict[str, Any] = {"units": units}
+    cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", steps, **given)
+    workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
+    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert closed_loop(setup)
+    if change is not None:
+        change(setup.log)
+    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log, cell

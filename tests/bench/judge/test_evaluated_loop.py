@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pandas as pd
 import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.step_columns import step_columns
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.scenario.scenario import scenario_of
-from dpbench.solvers.table import Availability
 from tests.bench.judge.known_runs import exact_loop
 
 STEPS, DONE = 4, 3
@@ -73,41 +69,10 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
 def test_figures_of_a_written_log(
     name: str, value: float, judged: tuple[Evaluated, StepColumns, Cell]
 ) -> None:
-    """Only steps that were done count, with the reference and the limits of their samples."""
     assert judged[0].metrics[name] == pytest.approx(value)
 
 
-def test_columns_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
-    """Each step has the state at its sample, and the force from there on."""
-    steps = step_rows("run", judged[1])
-    assert steps["k"].tolist() == [0, 1, 2]
-    assert steps["t_s"].tolist() == pytest.approx([0.0, 0.3, 0.6])
-    assert steps["n_m"].tolist() == [0.0, 1.0, 2.0]
-    assert steps["u_mps"].tolist() == [0.5, 0.0, 1.0]
-    assert steps["tau_x_N"].tolist() == SURGE
-    assert steps["cmd_x_N"].tolist() == [17e3, 18e3, 19e3]
-    assert steps["dtau_x_N"].tolist() == [16e3, 0.0, -1e3]
-    assert steps["fallback"].tolist() == [True, False, False]
-    assert steps["unconverged"].tolist() == [False, True, True]
-    assert steps["clipped"].tolist() == [False, False, True]
-    assert steps["total_ns"].tolist() == [100, 200, 300]
-    assert not steps["late"].any()
-
-
-def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
-    """Three of four steps are done; the figures are those of the log."""
-    evaluated, steps, cell = judged
-    outcome, library = Outcome("timed_out", "stopped"), Availability(True)
-    row = run_row("run", cell, outcome, library, "", evaluated, steps)
-    assert (row["steps_planned"], row["steps_done"], row["raw_samples"]) == (STEPS, DONE, DONE)
-    assert (row["fallbacks"], row["unconverged"], row["clipped"]) == (1, 2, 1)
-    assert row["raw_max_ns"] == 300.0
-    assert row["closed_loop_cost"] == pytest.approx(2.51285)
-    assert pd.isna(row["raw_p99_ns"]) and np.isnan(row["raw_p50_ns"])
-
-
 def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
-    """The reference moves from sample to sample, and each state is compared with its own."""
     case = load_scenario("move_filtered").first(STEPS)
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS

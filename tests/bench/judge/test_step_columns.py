@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.rules import select_rows
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import TIMES
@@ -70,7 +69,6 @@ def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
 
 
 def test_what_an_answer_claims_and_took() -> None:
-    """Phases that did not take place are absent, and the total is that of the others."""
     steps = loop()
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "TIME_LIMIT"]
     assert steps["claimed"].tolist() == [True, False, False]
@@ -84,7 +82,6 @@ def test_what_an_answer_claims_and_took() -> None:
 
 
 def test_what_the_referee_found() -> None:
-    """Nothing is true of an answer that was not judged, and no limit is active."""
     steps = loop()
     assert steps["true"].tolist() == [True, False, False]
     assert steps["true_1e4"].tolist() == [False, True, False]
@@ -94,7 +91,6 @@ def test_what_the_referee_found() -> None:
 
 
 def test_where_the_ship_was_and_what_moved_it() -> None:
-    """The state at the start of each step; each force, and its change from step to step."""
     steps = loop()
     names = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
     for i, name in enumerate(names):
@@ -110,7 +106,6 @@ def test_where_the_ship_was_and_what_moved_it() -> None:
 
 
 def test_a_step_without_a_computation_claims_nothing() -> None:
-    """On a slow computer the third one began none: no status, no times but that of the loop."""
     steps = loop(slowdown=3.0)
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", ""]
     assert steps["emit_ns"].tolist() == [1, 2, ABSENT]
@@ -118,17 +113,6 @@ def test_a_step_without_a_computation_claims_nothing() -> None:
     assert steps["overhead_ns"].tolist() == [50, 60, 70]
     assert steps["late"].tolist() == [False, True, True]
     assert steps["latency_ns"].tolist() == [345, 10**9, ABSENT]
-
-
-def test_the_second_answers_of_a_cascade_join_the_first() -> None:
-    """Their times add up, and their error has a column of its own."""
-    second = of_qps([[0, -1, 1, 2, 3, 0]] * 3, true=[1.0] * 3, error_move=[9.0, 8.0, 7.0])
-    steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
-    assert steps["allocation_ns"].tolist() == [6] * 3
-    assert steps["total_ns"].tolist() == [121, 232, ABSENT]
-    assert steps["waited_ns"].tolist() == [14, 0, ABSENT]
-    assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
-    assert steps["true"].tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize(
@@ -141,7 +125,6 @@ def test_the_second_answers_of_a_cascade_join_the_first() -> None:
 def test_rounds_of_a_replay(
     kernels: list[float], disturbed: list[bool], counts: list[bool]
 ) -> None:
-    """One step of the warm-up and of two rounds, the first of them undisturbed or not."""
     columns = of_qps(PHASES) | {
         "repeat": np.array([0, 1, 2], dtype=np.int32),
         "t_s": np.zeros(3),
@@ -153,9 +136,3 @@ def test_rounds_of_a_replay(
     assert steps["unconverged"].tolist() == [False, True, False]
     assert steps["fallback"].tolist() == [False, False, True]
     assert not {"late", "n_m", "clipped"} & set(steps)
-
-
-def test_some_of_the_rows_are_those_of_every_column() -> None:
-    """In their order."""
-    rows = select_rows({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
-    assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

@@ -32,7 +32,6 @@ Forces = Sequence[Sequence[float]]
 
 
 def ship(turning: AzimuthTurning | None = None) -> Scenario:
-    """Return the ship of round numbers with these thrusters."""
     own = THRUSTERS, ROWS, np.eye(4)
     return thruster_ship(
         ThrusterControl(*own) if turning is None else TurningThrusterControl(*own, turning)
@@ -46,11 +45,7 @@ def metrics_of(
     turning: AzimuthTurning | None = None,
     lost: Sequence[int] = (),
 ) -> dict[str, float]:
-    """Return the metrics of a run, by default with the limits of the intact thrusters.
-
-    The limits are those of one sample more than the run, and zero there; thrusters are lost in the
-    last sample of the run.
-    """
+    """Return the metrics of a run, by default with the limits of the intact thrusters."""
     sides = ROWS.low if low is None else low, ROWS.high if high is None else high
     tables = [np.vstack([np.broadcast_to(s, (len(f), 4)), np.zeros((1, 4))]) for s in sides]
     states = [np.zeros(3, dtype=bool)] * (len(f) - 1) + [np.isin(np.arange(3), lost)] * 2
@@ -68,12 +63,6 @@ def test_shares_of_full_thrust_and_power() -> None:
     found = metrics_of(f)
     assert found["thrust_share"] == pytest.approx(61 / 525)
     assert found["power_share"] == pytest.approx(459 / 9125)
-
-
-def test_full_thrust_is_a_share_of_one() -> None:
-    """All thrusters at their largest force have shares of 1."""
-    found = metrics_of([[100, 0, 25, 400]])
-    assert found["thrust_share"] == found["power_share"] == pytest.approx(1.0)
 
 
 def test_wear_is_the_change_of_every_entry() -> None:
@@ -153,7 +142,6 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    """Zero force of a thruster whose limits are zero is not at a limit."""
     limits = [ROWS.without({1})] * 2
     for main, share in ((0.0, 0.0), (400.0, 0.5)):
         run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
@@ -176,7 +164,6 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
     ],
 )
 def test_an_increment_beyond_the_rate_is_a_violation(step: list[float], violations: int) -> None:
-    """The first increment counts from zero; a step counts once."""
     assert metrics_of([step])["limit_violations"] == violations
 
 
@@ -238,7 +225,6 @@ def test_rounding_of_the_way_back_is_a_share_of_the_increment(
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Violations count steps, not thrusters or limits."""
     run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
     run.append([0, 0, 6.25, 100])
     low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))

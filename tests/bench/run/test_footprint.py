@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.raw_log import RawLog, replay_layout
-from dpbench.bench.run.footprint import (
-    MemoryWatch,
-    affordable_steps,
-    heap_bytes,
-    measure_steps,
-    threads,
-)
+from dpbench.bench.run import footprint
 from dpbench.bench.run.formulation import in_replay
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
@@ -36,18 +30,15 @@ def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
     made, formulated = in_replay("condensed_box", _sequence(n))
     timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
     timed_solver.prepare()
-    return measure_steps(made, timed_solver, 10)
+    return footprint.measure_steps(made, timed_solver, 10)
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
-    """A stored object costs no block; a new answer is an object with three arrays."""
     idle, copied = (_measured(open_calibration(name)) for name in (NO_OP, COPY_ONLY))
     assert (idle[0], copied[0]) == (0.0, 4.0)
 
 
 def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
-    """A megabyte that lives only within solve is seen, and is no block that is left."""
-
     class Spender(NoOp):
         def solve(self) -> None:
             np.ones(MEGABYTE, dtype=np.uint8)
@@ -57,7 +48,7 @@ def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
     assert MEGABYTE <= peak < MEGABYTE + 10_000
 
 
-@pytest.mark.skipif(math.isnan(heap_bytes()), reason="glibc 2.33 shows its heap")
+@pytest.mark.skipif(math.isnan(footprint.heap_bytes()), reason="glibc 2.33 shows its heap")
 def test_a_library_that_leaks_is_seen() -> None:
     """5000 bytes of `malloc` a step that nobody frees: glibc rounds them up to 5008."""
     libc = ctypes.CDLL(None)
@@ -78,21 +69,20 @@ def test_a_library_that_leaks_is_seen() -> None:
 
 
 def test_nothing_is_measured_without_a_step() -> None:
-    """A configuration whose slowest step takes too long has no numbers instead of a hang."""
     log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
     log.times[:] = -1
-    assert affordable_steps(log) == 30
+    assert footprint.affordable_steps(log) == 30
     log.times[1, 7, 3] = 10_000_000
-    assert affordable_steps(log) == 5, "a fifth of a second in four passes of 10 ms steps"
+    assert footprint.affordable_steps(log) == 5, "a fifth of a second in four passes of 10 ms steps"
     log.times[1, 7, 3] = 2_000_000_000
-    assert affordable_steps(log) == 0
+    assert footprint.affordable_steps(log) == 0
     timed_solver: Any = None
-    assert all(math.isnan(value) for value in measure_steps(_sequence(), timed_solver, 0))
+    assert all(math.isnan(value) for value in footprint.measure_steps(_sequence(), timed_solver, 0))
 
 
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
     """64 MB that the solver takes and gives back count; 32 MB of QPs and the log do not."""
-    watch = MemoryWatch()
+    watch = footprint.MemoryWatch()
     watch.opened()
     log = RawLog.in_memory(replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
     held = np.ones(8 * MEGABYTE // 2, dtype=np.float64)
@@ -106,15 +96,13 @@ def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
 
 
 def test_threads_are_counted() -> None:
-    """This process has a thread, and pools allow at least one."""
-    running, allowed = threads()
+    running, allowed = footprint.threads()
     assert running >= 1 and allowed >= 1
 
 
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
-    """What an earlier one left is not counted, what the later one takes is."""
     log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
-    memory = MemoryWatch()
+    memory = footprint.MemoryWatch()
     memory.opened()
     memory.loaded(log)
     left = np.ones(64 * MEGABYTE, dtype=np.uint8)

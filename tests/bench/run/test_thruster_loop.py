@@ -4,7 +4,6 @@ lost thrusters, and what slow thrusters give."""
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import numpy as np
@@ -13,39 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
-from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Formulation
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.formulation import in_loop
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
+from tests.bench.run.loops import limit_violations, run_loop
 
+AFT = {"kind": "azimuth", "x_m": -32.0, "thrust_kN": 190.0, "rise_s": 8.0}
 THRUSTERS: list[dict[str, Any]] = [
-    {
-        "name": "port",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": -5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
-    {
-        "name": "starb",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": 5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
+    AFT | {"name": "port", "y_m": -5.0},
+    AFT | {"name": "starb", "y_m": 5.0},
     {"name": "bow", "kind": "azimuth", "x_m": 26.0, "thrust_kN": 140.0, "rise_s": 6.0},
     {"name": "tunnel", "kind": "tunnel", "x_m": 30.0, "thrust_kN": 110.0, "rise_s": 5.0},
 ]
@@ -74,14 +55,10 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
 
 def steered_by(solver: str, case: Scenario, formulation: Formulation = "condensed_box") -> RawLog:
     """The log of a closed loop with a solver, without an answer the plan before."""
-    builder = QPBuilder(case, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
     policy = "warm" if solver in ("daqp", "paper_active_set") else "reuse"
     workspace = open_workspace(solver, route="native", policy=policy, settings="high")
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, "shifted_plan", 2**62, clock))
+    log, complete = run_loop(case, workspace, formulation=formulation)
+    assert complete
     return log
 
 
@@ -96,7 +73,6 @@ def exact(case: Scenario) -> ExactLoop:
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    """Plan by quadprog on matrices made here, thrust by T_e, motion by the plant of the forces."""
     control, plain = case.problem, load_scenario("rough")
     assert case.controller.commanded is not None
     T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
@@ -149,24 +125,19 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
 def test_every_form_steers_as_the_exact_loop_does(
     case: Scenario, exact: ExactLoop, solver: str, formulation: Formulation
 ) -> None:
-    """Condensed, one-sided and sparse, by solvers of several kinds."""
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
-    metrics = thruster_metrics(case, log.thrust, QPBuilder(case).thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
 
 def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -> None:
-    """Port azimuth and tunnel lost at 6 s: every step has an answer, no limit is broken, both are
-    at nothing after the time their rate needs, and stay there."""
+    """Port azimuth and tunnel lost at 6 s."""
     lost = scenario(80, faults=[{"at_s": 6.0, "lost": ["port", "tunnel"]}])
     log = steered_by("daqp", lost)
     assert not log.flags.any()
-    builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, builder.thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(lost, log) == 0.0
     gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
     assert np.abs(log.thrust[19, [0, 1]]).max() > 1e4
@@ -175,31 +146,18 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
 
 @pytest.mark.parametrize("fallback", FALLBACKS)
 def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
-    """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
     case = scenario(30)
-    builder = QPBuilder(case)
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
-    workspace = open_workspace(
-        "daqp", route="native", policy="warm", settings={"iter_limit": 1, "primal_tol": 1e-9}
-    )
-    formulated = in_loop("condensed_box", builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
+    tight = {"iter_limit": 1, "primal_tol": 1e-9}
+    workspace = open_workspace("daqp", route="native", policy="warm", settings=tight)
+    log, complete = run_loop(case, workspace, fallback)
+    assert complete
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, builder.thruster_limits)
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
 
 
-SHIP = ThrusterSet(
-    tuple(
-        Thruster(
-            t["name"], t["kind"], t["x_m"], t.get("y_m", 0.0), 1e3 * t["thrust_kN"], t["rise_s"]
-        )
-        for t in THRUSTERS
-    )
-)
-ROWS = thruster_rows(SHIP, 8)
+COMMANDED = scenario().controller.commanded
+assert COMMANDED is not None
+SHIP, ROWS = COMMANDED.thrusters, COMMANDED.rows
 STEP = SHIP.step_max(0.3)
 LIMIT = scenario().controller.move_limit()
 
@@ -213,7 +171,6 @@ LIMIT = scenario().controller.move_limit()
 def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
     share: list[float], moves: list[float], lost: set[int]
 ) -> None:
-    """Any move from any allowed force: rate, rows or the way back; and a good move is untouched."""
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
     limits = low, high, _ = ROWS.without(lost)
@@ -233,7 +190,6 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 
 
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
-    """A step of the command: exact first-order answer, its mean over each sample on the ship."""
     lag_s, sample_s = 2.0, 0.5
     thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])
@@ -247,21 +203,3 @@ def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() ->
         thrusters.deliver(np.full(7, 1e6))
     assert (SHIP.size(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
     assert SHIP.size(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]
-
-
-def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
-    """By hand: the tunnel at half thrust, reversed once; an azimuth at full, turned by 90°."""
-    f = np.zeros((4, 7))
-    f[:, 6] = [55e3, 55e3, -55e3, -55e3]
-    f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
-    metrics = thruster_metrics(case, f, [ROWS.intact] * 4)
-    assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
-    most = 2 * 190**1.5 + 140**1.5 + 110**1.5
-    assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)
-    assert metrics["thrust_variation"] == pytest.approx(1.0 + 2.0 + 0.5 + 1.0)
-    assert (metrics["azimuth_travel_deg"], metrics["thrust_reversals"]) == (
-        pytest.approx(90.0),
-        1.0,
-    )
-    assert metrics["limit_violations"] == 2.0
-    assert shares_of_full(load_scenario("calm"), np.zeros((4, 0))) == {}

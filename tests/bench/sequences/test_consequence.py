@@ -14,17 +14,13 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
-from dpbench import load_results, load_scenario, run_campaign
+from dpbench import load_scenario
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.sequences.consequence import (
-    AVERAGE_S,
-    consequence_sequence,
-    required_force,
-)
+from dpbench.bench.sequences.loop_sequences import AVERAGE_S, consequence_sequence, required_force
 from dpbench.bench.sequences.source import log_size, replayed
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
@@ -41,7 +37,6 @@ assert RATOWNIK is not None
 
 
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
-    """The QP of one force after the loss of a group."""
     rows = thruster_rows(thrusters, SIDES)
     low, high, _ = rows.without(set(thrusters.groups[group]))
     allocation = LossAllocation(thrusters, rows)
@@ -84,8 +79,6 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
 def test_a_loss_is_held_as_far_as_the_corners_reach(
     group: str, direction: tuple[float, float, float]
 ) -> None:
-    """A millionth before the edge there is an optimum that makes the force; a millionth beyond,
-    the proof that there is none."""
     assert RATOWNIK is not None
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
@@ -98,7 +91,6 @@ def test_a_loss_is_held_as_far_as_the_corners_reach(
 
 
 def test_port_and_starboard_are_alike() -> None:
-    """The loss of the port azimuth under a force is that of the other under its mirror image."""
     port = Thruster("port", "azimuth", -30.0, -5.0, 1e5, 10.0)
     starboard = Thruster("starboard", "azimuth", -30.0, 5.0, 1e5, 10.0)
     ship = ThrusterSet((port, starboard, Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)))
@@ -149,7 +141,6 @@ def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
 
 
 def test_what_the_run_has_lost_stays_lost() -> None:
-    """From the fault on, no thruster of board A pushes in any QP; before, those of the group."""
     case = load_scenario("thrusters_loss")
     (fault,) = (k for k, _ in case.controller.changes)
     assert case.controller.commanded is not None
@@ -170,8 +161,6 @@ def test_what_the_run_has_lost_stays_lost() -> None:
 
 
 def test_a_cascade_has_an_analysis_too() -> None:
-    """Of the thrusters that its second QP commands: without one of them the calm is held, and a
-    force that takes them all is not."""
     case = load_scenario("thrusters_cascade")
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
@@ -189,7 +178,6 @@ def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
 
 
 def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
-    """Three sequences, one file; the harness's own configurations take no part."""
     suite = suite_of(first=100, steps=50)
     suite = suite.model_copy(update={"calibration": True})
     cells = [planned.cell for planned in plan(suite)]
@@ -206,49 +194,10 @@ def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
 
 
 def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
-    """A controller of forces, and QPs in N: both name the key."""
     with pytest.raises(InputError, match=r"consequence analysis of paper: controller\.kind"):
         plan(suite_of("paper"))
     with pytest.raises(InputError, match="units"):
         plan(suite_of(units=["si"]))
-
-
-SUITE = """
-title = "Before and after the loss of a switchboard"
-baseline_law = false
-rounds = 1
-warmup_steps = 2
-cell_limit_s = 60.0
-
-[[replay]]
-scenario = "thrusters_loss"
-consequence = true
-first = 296
-steps = 8
-routes = ["native"]
-policies = ["reuse"]
-"""
-
-
-@pytest.mark.slow
-def test_a_suite_runs_and_resumes_it(tmp_path: Path) -> None:
-    """Each group's optimum or proof stands in its rows; nothing runs twice."""
-    path = tmp_path / "loss.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    out = run_campaign(path, tmp_path / "out", solvers=["quadprog", "piqp"])
-    runs = load_results(out).runs
-    assert (runs["outcome"] == "finished").all() and len(runs) == 6
-    assert runs["N_p"].isna().all() and (runs["n"] == 8).all()
-    assert set(runs["scenario"]) == {"thrusters_loss"}
-    empty = runs.groupby("sequence")["infeasible_steps"].unique().map(set)
-    wanted = {"board A": {0}, "board B": {4}, "bow azimuth": {4}}
-    assert {key: empty[f"thrusters_loss[296:304], {key} lost"] for key in wanted} == wanted
-    assert (runs["true_share"] == 1.0).all()
-    steps = load_results(out).steps
-    np.testing.assert_allclose(sorted(set(steps["t_s"])), 0.3 * np.arange(296, 304))
-    written = sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
-    run_campaign(path, out, solvers=["quadprog", "piqp"])
-    assert written == sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
 
 
 def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:

@@ -7,24 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench import load_results, run_campaign
-from dpbench.analysis.records.records import Records
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.qp_source import HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
-from dpbench.bench.sequences.hardest import (
+from dpbench.bench.sequences.loop_sequences import (
     active_limits,
-    first_of_hardest,
+    find_hardest_window,
     hardest_window,
     hardness,
 )
-from dpbench.bench.sequences.source import (
-    replayed,
-    source_file,
-)
+from dpbench.bench.sequences.source import replayed, source_file
 from dpbench.errors import InputError
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
@@ -33,7 +28,6 @@ NO_OPTIMUM = np.inf
 
 
 def optimum(y: list[float], y_box: list[float], bound: float = 0.0) -> Optimum:
-    """An optimum of which only the multipliers matter."""
     kind = "linear" if np.isfinite(bound) else "infeasible"
     return Optimum(np.zeros(len(y_box)), np.array(y), np.array(y_box), bound, kind)
 
@@ -52,8 +46,6 @@ HARDNESS = [0, 1 + 1, 2 + 1, 3 + 2, 6, 1 + 1]
 
 
 def test_hardness_counts_active_limits_and_their_changes() -> None:
-    """A limit that changes its side has changed; a multiplier of 1e-12 is none; an infeasible step
-    has no active limits, and is the hardest."""
     active = active_limits(TABLE)
     np.testing.assert_array_equal(active, ACTIVE)
     feasible = np.array([True, True, True, True, False, True])
@@ -61,7 +53,6 @@ def test_hardness_counts_active_limits_and_their_changes() -> None:
 
 
 def test_before_the_first_step_no_limit_is_active() -> None:
-    """A loop that begins at its limits begins hard."""
     active = np.array([[1, 1, -1], [1, 1, -1]])
     np.testing.assert_array_equal(hardness(active, np.array([True, True])), [6, 3])
 
@@ -83,32 +74,27 @@ def test_before_the_first_step_no_limit_is_active() -> None:
 def test_the_window_holds_the_hardest_step_and_most_hardness(
     hard: list[int], steps: int, first: int
 ) -> None:
-    """It stays within the stretch; of equals the earliest."""
     assert hardest_window(np.array(hard, dtype=float), steps) == first
 
 
 def test_the_window_is_chosen_within_its_stretch() -> None:
-    """Steps before the stretch count for changes only, steps behind it not at all."""
-    assert first_of_hardest(TABLE, 0, 6, 2) == 3
-    assert first_of_hardest(TABLE, 0, 4, 2) == 2
-    assert first_of_hardest(TABLE, 5, 1, 1) == 5
-    assert first_of_hardest(TABLE[:4], 0, 4, 2) == first_of_hardest(TABLE, 0, 4, 2)
+    assert find_hardest_window(TABLE, 0, 6, 2) == 3
+    assert find_hardest_window(TABLE, 0, 4, 2) == 2
+    assert find_hardest_window(TABLE, 5, 1, 1) == 5
+    assert find_hardest_window(TABLE[:4], 0, 4, 2) == find_hardest_window(TABLE, 0, 4, 2)
 
 
 def suite_of(**table: object) -> SuiteFile:
-    """A suite with one replay."""
     replay = ReplayTable.model_validate({"scenario": "turn"} | table)
     return SuiteFile(title="one", solvers=["daqp"], baseline_law=False, replay=[replay])
 
 
 def cell(**table: object) -> Cell:
-    """The one cell of such a suite."""
     (planned,) = plan(suite_of(**table))
     return planned.cell
 
 
 def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
-    """It shares the file of the loop, of which it needs the whole stretch."""
     window, whole = cell(steps=450, hardest=50), cell(steps=450)
     assert (window.mode, window.scenario_name, window.steps) == ("replay", "turn", 50)
     assert window.sequence == "turn hardest 50"
@@ -144,7 +130,6 @@ def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
 
 
 def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
-    """Bit for bit, with the same certified optima, whatever else of the loop is in the file."""
     whole, path, short = cell(), tmp_path / "whole.npz", tmp_path / "short.npz"
     source_file(whole).make(path)
     window = cell(steps=200, hardest=30)
@@ -175,50 +160,7 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     assert replayed(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400
 
 
-SUITE = """
-title = "Windows"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
-[[replay]]
-scenario = "rough"
-first = 100
-steps = 40
-
-[[replay]]
-scenario = "rough"
-first = 100
-steps = 40
-hardest = 8
-"""
-
-
-@pytest.mark.slow
-def test_a_campaign_records_where_the_window_begins(tmp_path: Path) -> None:
-    """Its steps are those of the whole replay from `first_sample` on, certified."""
-    suite = tmp_path / "windows.toml"
-    suite.write_text(SUITE, encoding="utf-8")
-    records = Records(load_results(run_campaign(suite, tmp_path / "out")))
-    whole, window = records.select(mode="replay")
-    assert (whole.window_of, whole.first_step) == (0, 100)
-    assert window.window_of == 40
-    assert window.scenario == "rough"
-    assert window.horizons == whole.horizons
-    assert window.steps_done == 8
-    assert window.uncertified == 0
-    at = window.first_step - 100
-    assert window.first_sample == window.first_step
-    columns = ("t_s", "n_active", "iterations", "error_move")
-    one, all_of = (records.counting_steps(run, columns) for run in (window, whole))
-    for name in ("t_s", "n_active"):
-        np.testing.assert_array_equal(one[name], all_of[name][at : at + 8])
-
-
 def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:
-    """A tenth of the stretch may take a tenth of its budgets."""
     suite = suite_of(steps=300, hardest=30).model_copy(
         update={"replay_budget_s": 0.6, "repeat_budget_s": 0.2}
     )

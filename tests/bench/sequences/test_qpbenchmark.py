@@ -68,10 +68,6 @@ def qpbenchmark() -> Any:
 @pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")
 @pytest.mark.parametrize("kind", ["paper_tight", "mixed"])
 def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path) -> None:
-    """The same answers, judged there in its form and here in ours.
-
-    Its duality gap is |primal − dual objective|; ours is an upper bound of it.
-    """
     tight = kind == "paper_tight"
     recorded = record(load_scenario(kind), steps=24, every=3) if tight else mixed()
     _, code = save_qpbenchmark(tmp_path / "dp_set.py", recorded)
@@ -126,7 +122,6 @@ def test_its_command_runs_the_set_as_it_is(qpbenchmark: Any, tmp_path: Path) -> 
 
 
 def test_the_table_holds_the_problems(tmp_path: Path) -> None:
-    """Read by pandas alone, each row has the optimum of the file with the QPs for its optimum."""
     recorded = mixed()
     table, _ = save_qpbenchmark(tmp_path / "dp_set.parquet", recorded)
     frame = pd.read_parquet(table)
@@ -142,7 +137,6 @@ def test_the_table_holds_the_problems(tmp_path: Path) -> None:
 
 
 def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
-    """An infeasible step is no problem of a benchmark that knows solved and failed only."""
     recipe = RandomRecipe("infeasible_steps", 4, 6, 1, steps=6)
     sequence = random_sequence(recipe)
     table, _ = save_qpbenchmark(tmp_path / "some.py", Recorded(sequence, certified(sequence)))
@@ -153,7 +147,6 @@ def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["two words.py", "json.py", "numpy", "9lives.py", "dp.npz"])
 def test_a_name_that_cannot_be_imported_is_refused(name: str, tmp_path: Path) -> None:
-    """qpbenchmark imports the file by its stem."""
     with pytest.raises(InputError, match="--out"):
         save_qpbenchmark(tmp_path / name, mixed())
     assert not list(tmp_path.iterdir())

@@ -70,7 +70,6 @@ def test_files_come_in_natural_order_with_the_optima_of_a_hand_calculation(folde
 
 
 def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
-    """A matrix or a bound that one file has otherwise is kept for every step."""
     other = hand_made(0.5)
     other.P, other.ub = 2.0 * other.P, np.array([9.0, 8.0, 0.5])
     other.save(str(folder / "step_10.npz"))
@@ -83,7 +82,6 @@ def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
 
 
 def test_a_problem_without_rows_or_bounds_is_read(tmp_path: Path) -> None:
-    """What qpsolvers saves as None is absent; a single row may be a vector."""
     Problem(np.eye(2), np.array([1.0, -2.0])).save(str(tmp_path / "0.npz"))
     sequence = read_folder(tmp_path)
     assert sequence.base.m == 0 and np.isinf(sequence.base.lb).all()
@@ -126,7 +124,6 @@ def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
 def test_a_bad_problem_is_one_line(
     change: Callable[[Arrays], Arrays], parts: list[str], folder: Path
 ) -> None:
-    """The line names the file among its neighbours, the array, what was found and is allowed."""
     with np.load(folder / "step_10.npz", allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
     np.savez(folder / "step_10.npz", **change(arrays))
@@ -159,7 +156,6 @@ def test_a_folder_runs_through_the_solvers(folder: Path, tmp_path: Path) -> None
 def test_our_own_file_runs_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exported, thinned and replayed; its times are those of the run, its matrices of each step."""
     monkeypatch.chdir(tmp_path)
     arguments = ["export", "turn", "--steps", "13", "--every", "4", "--horizons", "20/4"]
     assert main([*arguments, "--out", "turn.npz"]) == 0
@@ -173,6 +169,9 @@ def test_our_own_file_runs_from_the_command_line(
     np.testing.assert_allclose(sorted(set(results.steps["t_s"])), sample_s * np.arange(0, 13, 4))
     cell = json.loads(results.runs["cell"].iloc[0])
     assert cell["source"]["path"] == "turn.npz"
+    assert main(["run", "--sequence", "papr-60-10"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "allowed: paper-60-10" in said
 
 
 @pytest.mark.slow
@@ -187,7 +186,6 @@ def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> None:
-    """The cell holds the digest of what it was planned with, so its key changes with the file."""
     suite = sequence_suite(folder)
     before = plan(suite, solvers=["daqp"])[0].cell
     assert Cell.from_json(before.to_json()).to_json() == before.to_json()
@@ -198,7 +196,6 @@ def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> N
 
 
 def test_a_suite_names_a_sequence_beside_it(folder: Path) -> None:
-    """A relative path is that of the suite's folder; two sequences of one name are refused."""
     suite = SuiteFile(title="x", solvers=["daqp"], recorded=[RecordedTable(sequence="robot")])
     (planned,) = plan(suite, beside=folder.parent)
     assert (planned.cell.sequence, planned.cell.steps) == ("robot", 3)

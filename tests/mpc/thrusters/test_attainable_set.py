@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from dpbench.bench.judge.force_limits import joint_limit_metrics
+from dpbench.bench.judge.control_metrics import joint_limit_metrics
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import threading
 import time
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +22,7 @@ from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.timed_solver import HUNG, TimedSolver, interrupting
+from dpbench.bench.run.timed_solver import HUNG, RunDelay, TimedSolver, interrupting, run_delay
 from dpbench.bench.workers.worker import hang_of
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -62,7 +69,6 @@ STEP = QPStep(np.ones(1), -np.ones(1), np.ones(1))
 
 @pytest.mark.parametrize("catches", [True, False])
 def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
-    """Whether the adapter takes what is raised for a failure or lets it pass."""
     workspace = Spinning(catches=catches)
     solver = timed(workspace)
     solver.prepare()
@@ -76,7 +82,6 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
 
 
 def test_an_alarm_outside_of_a_step_is_none() -> None:
-    """The harness may take its time between two steps; behind the block no alarm goes off."""
     solver = timed(Spinning(catches=False))
     with interrupting(0.01, time.perf_counter_ns):
         until = time.monotonic() + 0.05
@@ -86,7 +91,7 @@ def test_an_alarm_outside_of_a_step_is_none() -> None:
 
 
 class Leaving(Workspace):
-    """Drives another workspace, and ends the run in one step, as a process that is killed."""
+    """Drives another workspace, and exits or fails in one step."""
 
     def __init__(self, inner: Workspace, at: int, *, fails: bool, k: int = -1) -> None:
         super().__init__(inner.solver, inner.route, inner.policy)
@@ -113,43 +118,7 @@ class Leaving(Workspace):
         raise AssertionError("replaced")
 
 
-@pytest.mark.parametrize(
-    ("name", "backup"), [("paper", ""), ("waves", "paper_active_set"), ("thrusters_cascade", "")]
-)
-def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> None:
-    """It ends bit for bit where a loop whose solver failed in that step ends: ship, estimator and
-    fallback are where they were, and the solver starts anew."""
-    steps, at = 30, 11
-    scenario = load_scenario(name).first(steps)
-    cell = Cell(
-        "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, backup=backup
-    )
-    logs: list[RawLog] = []
-
-    def new_log(layout: Layout) -> RawLog:
-        logs.append(RawLog.in_memory(layout))
-        return logs[-1]
-
-    def opened() -> Workspace:
-        return open_workspace("daqp", route="native", policy="reuse")
-
-    def leaving(*, fails: bool) -> Workspace:
-        workspace = Leaving(opened(), at, fails=fails)
-        workspace.opened_again = opened
-        return workspace
-
-    failing = closed_loop_setup(cell, scenario, leaving(fails=True), new_log, NO_LIMIT_NS)
-    assert closed_loop(failing)
-    killed = closed_loop_setup(cell, scenario, leaving(fails=False), new_log, NO_LIMIT_NS)
-    with pytest.raises(SystemExit):
-        closed_loop(killed)
-    expected, log = logs
-    assert log.done[0] == at
-    again = closed_loop_setup(cell, scenario, opened(), lambda _: log, 10**9, hung=[at])
-    assert closed_loop(again)
-    for array in ("state", "tau", "z", "status", "flags", "iterations"):
-        np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
-    assert log.times[0, at, 3] == 10**9 and log.matrix_updates[0] == expected.matrix_updates[0]
+SAMPLE_S = 0.3
 
 
 class _Late(Leaving):
@@ -161,18 +130,18 @@ class _Late(Leaving):
         super().solve()
 
 
-SAMPLE_S = 0.3
-
-
-@pytest.mark.slow
-@pytest.mark.alone  # A step of any other solve that takes a sample would be late too.
-def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
-    """The plan that came late comes late again, though it is repeated at once, and the step that
-    hung keeps the processor for as long as it hung."""
-    steps, at = 20, 11
-    scenario = load_scenario("paper").first(steps)
+def goes_on(
+    name: str,
+    leaving: Callable[[Workspace, bool], Workspace],
+    at: int,
+    limit_ns: int,
+    **fields: Any,
+) -> tuple[RawLog, RawLog]:
+    """Return the log of a loop that goes on after it hung, and of one that failed in that step."""
+    steps = at + 9
+    scenario = load_scenario(name).first(steps)
     cell = Cell(
-        "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, slowdown=1.0
+        "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, **fields
     )
     logs: list[RawLog] = []
 
@@ -183,32 +152,54 @@ def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
     def opened() -> Workspace:
         return open_workspace("daqp", route="native", policy="reuse")
 
-    def leaving(*, fails: bool) -> Workspace:
-        # Step 5 is not solved, as the processor is busy.
-        return _Late(opened(), at - 1, fails=fails, k=-1 - WARM_UP_SOLVES)
-
-    failing = closed_loop_setup(cell, scenario, leaving(fails=True), new_log, NO_LIMIT_NS)
-    assert closed_loop(failing)
-    killed = closed_loop_setup(cell, scenario, leaving(fails=False), new_log, NO_LIMIT_NS)
-    with pytest.raises(SystemExit):
-        closed_loop(killed)
+    for fails in (True, False):
+        workspace = leaving(opened(), fails)
+        workspace.opened_again = opened
+        setup = closed_loop_setup(cell, scenario, workspace, new_log, NO_LIMIT_NS)
+        with nullcontext() if fails else pytest.raises(SystemExit):
+            assert closed_loop(setup)
     expected, log = logs
     assert log.done[0] == at
-    late_ns, limit_ns = int(log.latency_ns[4]), round(1.1 * SAMPLE_S * 1e9)
     again = closed_loop_setup(cell, scenario, opened(), lambda _: log, limit_ns, hung=[at])
     again.limit_ns = NO_LIMIT_NS
+    late_ns = log.latency_ns.copy()
     assert closed_loop(again)
     for array in ("state", "tau", "status", "flags", "iterations"):
         np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
-    assert log.latency_ns[4] == late_ns and log.latency_ns[at] == limit_ns
+    np.testing.assert_array_equal(log.latency_ns[:at], late_ns[:at])
+    return log, expected
+
+
+@pytest.mark.parametrize(
+    ("name", "backup"), [("paper", ""), ("waves", "paper_active_set"), ("thrusters_cascade", "")]
+)
+def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> None:
+    def leaving(inner: Workspace, fails: bool) -> Workspace:
+        return Leaving(inner, 11, fails=fails)
+
+    log, expected = goes_on(name, leaving, 11, 10**9, backup=backup)
+    np.testing.assert_array_equal(log.z, expected.z)
+    assert log.times[0, 11, 3] == 10**9 and log.matrix_updates[0] == expected.matrix_updates[0]
+
+
+@pytest.mark.slow
+@pytest.mark.alone  # A step of any other solve that takes a sample would be late too.
+def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
+    limit_ns, at = round(1.1 * SAMPLE_S * 1e9), 11
+
+    def leaving(inner: Workspace, fails: bool) -> Workspace:
+        # Step 5 is not solved, as the processor is busy.
+        return _Late(inner, at - 1, fails=fails, k=-1 - WARM_UP_SOLVES)
+
+    log, _ = goes_on("paper", leaving, at, limit_ns, slowdown=1.0)
+    assert log.latency_ns[at] == limit_ns
     assert np.flatnonzero(log.latency_ns < 0).tolist() == [5, at + 1]
 
 
-@pytest.mark.parametrize(("backup", "goes_on"), [("", True), ("quadprog", False)])
+@pytest.mark.parametrize(("backup", "resumed"), [("", True), ("quadprog", False)])
 def test_a_killed_loop_of_a_slow_computer_goes_on(
-    backup: str, goes_on: bool, tmp_path: Path
+    backup: str, resumed: bool, tmp_path: Path
 ) -> None:
-    """With a backup it does not: how late that was would be measured anew."""
     files = load_scenario("paper").files
     cell = Cell(
         *("closed_loop", files, "daqp", "native", "reuse", "default", 9),
@@ -217,4 +208,71 @@ def test_a_killed_loop_of_a_slow_computer_goes_on(
     )
     log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
     log.started[0], log.done[0] = 1, 4
-    assert hang_of(cell, tmp_path / "a.raw", []) == ((0, 4) if goes_on else None)
+    assert hang_of(cell, tmp_path / "a.raw", []) == ((0, 4) if resumed else None)
+
+
+def _work_ms(ms: float) -> None:
+    until = time.thread_time_ns() + round(1e6 * ms)
+    while time.thread_time_ns() < until:
+        pass
+
+
+@pytest.fixture
+def one_core() -> Any:
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    yield
+    os.sched_setaffinity(0, before)
+
+
+def test_a_shared_core_is_waited_for(one_core: None) -> None:
+    """Beside an endless loop, 100 ms of work wait for some 100 ms, and for no more than passed."""
+    other = subprocess.Popen(
+        [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
+    )
+    try:
+        assert other.stdout is not None and other.stdout.readline() == b"\n"
+        delay, began_ns, used_ns = RunDelay(), time.perf_counter_ns(), time.thread_time_ns()
+        _work_ms(100.0)
+        waited_ns = delay.since_last()
+        passed_ns = time.perf_counter_ns() - began_ns
+        used_ns = time.thread_time_ns() - used_ns
+    finally:
+        other.kill()
+        other.communicate()
+    assert waited_ns > 10e6
+    # What passed was work or wait, but for what lies between the readings.
+    assert waited_ns == pytest.approx(passed_ns - used_ns, abs=0.2 * passed_ns)
+
+
+def test_sleep_is_no_wait_for_the_core() -> None:
+    delay = RunDelay()
+    waits_ms = []
+    for _ in range(5):
+        delay.since_last()
+        time.sleep(0.02)
+        waits_ms.append(1e-6 * delay.since_last())
+    assert 0.0 <= min(waits_ms) < 10.0
+
+
+def test_a_thread_has_its_own() -> None:
+    others: list[RunDelay] = []
+    thread = threading.Thread(target=lambda: others.append(run_delay()))
+    thread.start()
+    thread.join()
+    assert run_delay() is run_delay()
+    assert others[0] is not run_delay()
+
+
+def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(path: str, flags: int) -> int:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(os, "open", missing)
+    assert RunDelay().since_last() == -1
+    monkeypatch.undo()
+    delay = RunDelay()
+    monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
+    assert delay.since_last() == -1
+    monkeypatch.undo()
+    assert delay.since_last() == -1
