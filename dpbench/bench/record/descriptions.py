@@ -7,6 +7,7 @@ fewer, later ones may write more.
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any, Required, TypeVar
 
@@ -97,10 +98,15 @@ def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
     """The document of a file as a type; ResultsError, naming the key, where it has others."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
-        return TypeAdapter(kind).validate_json(json.dumps(document))
+        return _adapter(kind).validate_json(json.dumps(document))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
         allowed = f"what `dpbench run` writes ({first['msg']}); run again"
         raise ResultsError(str(path), key, value, allowed) from error
+
+
+@cache
+def _adapter(kind: type[_Kind]) -> TypeAdapter[_Kind]:
+    return TypeAdapter(kind)

@@ -73,14 +73,13 @@ class BatchPart:
 def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
     """Return a part of cells, each a row and steps, by run_id."""
     steps = concat_runs({name: batch for name, (_, batch) in cells.items()})
-    return part_of([row for row, _ in cells.values()], steps)
+    return part_of(columns_of([row for row, _ in cells.values()]), steps)
 
 
-def part_of(rows: Sequence[Row], steps: pa.Table) -> BatchPart:
-    """Return a part of rows and of the steps of all of them (`FILE_SCHEMA`)."""
-    outcomes = {str(row["run_id"]): str(row["outcome"]) for row in rows}
-    text = json.dumps(columns_of(rows), default=_plain)
-    return BatchPart(outcomes, encode_steps(steps, {RUNS: text}))
+def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
+    """Return a part of the columns of runs and of all their steps (`FILE_SCHEMA`)."""
+    outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
+    return BatchPart(outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_plain)}))
 
 
 def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:

@@ -27,6 +27,7 @@ from dpbench.bench.record.step_table import (
     STRING_COLUMNS,
     absent_column,
     filter_runs,
+    plain_frame,
 )
 from dpbench.errors import ResultsError
 from dpbench.files.tables import opened_table
@@ -260,10 +261,7 @@ def _chosen(columns: Sequence[str]) -> Columns:
 
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     """Some columns of a table with the types of the schema; the few words stay a word each."""
-    whole = {pa.int64(): pd.Int64Dtype()}
-    # What pandas noted of the types is not followed, as others may have written it.
-    some = table.select(list(columns)).replace_schema_metadata(None)
-    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get, use_threads=False)
+    frame = plain_frame(table.select(list(columns)))
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns

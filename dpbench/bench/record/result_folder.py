@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 
 from dpbench.bench.record.descriptions import MachineDescription, SuiteDescription, validated
 from dpbench.bench.record.recorded_steps import (
@@ -26,7 +27,8 @@ from dpbench.bench.record.recorded_steps import (
     readable,
 )
 from dpbench.bench.record.run_checks import check_runs
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import PREFIX, SCHEMA_VERSION, as_steps
+from dpbench.bench.record.step_table import frame_of_runs, stored_runs
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
@@ -185,18 +187,18 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
     with readable(path), opened_table(path, error=ResultsError) as file:
         table = in_full(file.read(), path, error=ResultsError)
-        # What pandas noted of the types is not followed: those of the schema are asked for below.
-        frame = table.replace_schema_metadata(None).to_pandas(use_threads=False)
-    if missing := sorted({"run_id", "schema"} - set(frame.columns)):
+    if missing := sorted({"run_id", "schema"} - set(table.column_names)):
         raise lacking(path, missing)
-    others = sorted(set(frame["schema"].unique().tolist()) - {SCHEMA_VERSION})
+    others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
-        # Said before its columns are looked at: those of another schema are others.
+        # Before its columns are read: another schema has others.
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = as_runs(frame)
-    except (ValueError, TypeError) as error:
+        runs = frame_of_runs(stored_runs(table)).reset_index(drop=True)
+        keys = [name for name in table.column_names if name.startswith(PREFIX)]
+        runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
+    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
         raise of_another_type(path, str(error)[:80]) from error
     check_runs(runs, path)
     _check_solvers(path, runs)
