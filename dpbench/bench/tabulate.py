@@ -135,7 +135,7 @@ def _selected(cell: Cell) -> tuple[object, ...]:
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Whether the public tables are those that `tabulate` would make of what is there."""
     wanted = list(RequestedRuns(work).jobs)
-    in_parts = {name for part in store.parts for name in part.names()}
+    in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
     return wanted == store.public.names() and not set(wanted) & in_parts
 
 

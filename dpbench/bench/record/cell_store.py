@@ -104,10 +104,6 @@ class Source(ABC):
         cannot be read."""
 
     @abstractmethod
-    def names(self) -> list[str]:
-        """Return the run_ids of all its rows, in their order."""
-
-    @abstractmethod
     def is_sound(self) -> bool:
         """Whether the steps are, byte for byte, those that were written."""
 
@@ -170,6 +166,7 @@ class PublicTables(Source):
                 yield _finished(stored_runs(table))
 
     def names(self) -> list[str]:
+        """Return the run_ids of all its rows, in their order."""
         try:
             with opened_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
@@ -204,25 +201,17 @@ class Part(Source):
 
     def __init__(self, steps: Path) -> None:
         self.steps, self._cells = steps, 0
-
-    def _runs(self) -> dict[str, list[Any]]:
-        """Return the columns of its runs; one of `DAMAGE` where it is not what was written."""
-        self._cells = 0
-        if not self.is_sound():
-            raise ValueError("a damaged part")
-        with opened(self.steps) as file:
-            columns = runs_in(pq.read_metadata(file).metadata)
-        self._cells = len(columns["run_id"])
-        return columns
+        self._rows: pa.Table | None = None
 
     def rows(self) -> Iterator[pa.Table]:
-        yield _finished(_typed(self._runs()))
-
-    def names(self) -> list[str]:
-        try:
-            return [str(name) for name in self._runs()["run_id"]]
-        except DAMAGE:
-            return []
+        if not self.is_sound():
+            raise ValueError("a damaged part")
+        if self._rows is None:
+            with opened(self.steps) as file:
+                columns = runs_in(pq.read_metadata(file).metadata)
+            self._cells = len(columns["run_id"])
+            self._rows = _finished(_typed(columns))
+        yield self._rows
 
     def is_sound(self) -> bool:
         named = _PART.fullmatch(self.steps.name)

@@ -1,8 +1,7 @@
 """Finished cells on their way from the process that judged them into a result folder.
 
-A record is one cell: an Arrow IPC stream of one batch, the steps, whose schema carries the row of
-the run as JSON. A part is all cells of a batch: a Parquet file with the steps in one row group, of
-the columns of `steps.parquet`, and the columns of `runs.parquet` as JSON in its metadata.
+A part is the cells of a batch: a Parquet file with the steps in one row group, of the columns of
+`steps.parquet`, and the columns of `runs.parquet` as JSON in its metadata.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from dpbench.bench.record.step_table import STEPS_SCHEMA, columns_of, concat_runs, encode_steps
+from dpbench.bench.record.step_table import columns_of, concat_runs, encode_steps
 
 Row = dict[str, Any]
 """A row of `runs.parquet`, by column."""
@@ -24,28 +24,6 @@ RUNS = "runs"
 """Where the metadata of a part have the columns of its runs."""
 DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
 """What reading a damaged record or table raises."""
-
-
-def packed(row: Row, steps: pa.RecordBatch) -> bytes:
-    """Return a finished run as the bytes of a record."""
-    batch = steps.replace_schema_metadata({RUNS: json.dumps(row, default=_plain)})
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, batch.schema) as stream:
-        stream.write_batch(batch)
-    record: bytes = sink.getvalue().to_pybytes()
-    return record
-
-
-def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
-    """Return what `packed` made bytes of; one of `DAMAGE` where it is something else."""
-    with pa.ipc.open_stream(record) as stream:
-        batch = stream.read_next_batch()
-    batch.validate(full=True)
-    row: Row = json.loads(batch.schema.metadata[RUNS.encode()])
-    batch = batch.replace_schema_metadata(None)
-    if not batch.schema.equals(STEPS_SCHEMA):
-        raise ValueError("steps with other columns")
-    return row, batch
 
 
 def _plain(value: object) -> object:
@@ -80,6 +58,12 @@ def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
     """Return a part of the columns of runs and of all their steps (`FILE_SCHEMA`)."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
     return BatchPart(outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_plain)}))
+
+
+def read_part(data: bytes) -> BatchPart:
+    """Return the part in the bytes of a file; one of `DAMAGE` where there is none."""
+    columns = runs_in(pq.read_metadata(pa.BufferReader(data)).metadata)
+    return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 
 
 def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:

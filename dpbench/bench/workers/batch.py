@@ -9,7 +9,7 @@ behind that; it, and those after it, go on in a new process.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.context import ForkServerContext
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, read_part
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
@@ -61,7 +62,7 @@ class _Run(Child, Generic[AnyItem]):
         logs: bool = True,
         alone: bool = False,
     ) -> None:
-        self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        self.items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
@@ -73,18 +74,18 @@ class _Run(Child, Generic[AnyItem]):
 
     def _advance(self) -> None:
         """Watch the first item that has no verdict yet."""
-        while self._at < len(self._items) and self._verdict.exists():
+        while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
-            if self._at < len(self._items):
-                self.name = self._items[self._at].name
-                self._limit_s = self._items[self._at].limit_s
+            if self._at < len(self.items):
+                self.name = self.items[self._at].name
+                self._limit_s = self.items[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
                 self._running_since = None if self._logs else self._born
 
     def overdue(self) -> bool:
         self._advance()
-        if self._at < len(self._items):
+        if self._at < len(self.items):
             return super().overdue()
         # Behind its last verdict it has nothing to do but to end.
         return time.monotonic() - self._born > GRACE_S and self.kill("")
@@ -94,14 +95,14 @@ class _Run(Child, Generic[AnyItem]):
         self.join()
         self._advance()
         outcomes = {}
-        for item in self._items[: self._at]:
+        for item in self.items[: self._at]:
             outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
-        if not_begun or self.is_suspect or self._at == len(self._items):
-            return outcomes, self._items[self._at :]
+        if not_begun or self.is_suspect or self._at == len(self.items):
+            return outcomes, self.items[self._at :]
         outcomes[self.name] = self.outcome()
-        return outcomes, self._items[self._at + 1 :]
+        return outcomes, self.items[self._at + 1 :]
 
 
 class CellRun:
@@ -115,7 +116,7 @@ class CellRun:
     Attributes
     ----------
     outcomes : what became of them, without those that were at work or to come when the fork server
-        died; records : of those that left steps what is to be kept.
+        died; parts : the cells that left steps, with these.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class CellRun:
         self.batch, self.folder = batch, folder
         self._context, self._cells, self._to_run = context, list(cells), to_run
         self.outcomes: dict[str, Outcome] = {}
-        self.records: dict[str, bytes] = {}
+        self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
         """Start the first process."""
@@ -144,8 +145,7 @@ class CellRun:
             rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
         else:
-            for name, verdict in ended.items():
-                self._take_record(name, verdict)
+            rest = self._take_part(child.items, ended) + rest
         if child.is_suspect:
             for cell in rest:
                 self.outcomes.pop(cell.name, None)
@@ -172,16 +172,26 @@ class CellRun:
                 return [self._cells[i]]
         return []
 
-    def _take_record(self, name: str, verdict: Outcome) -> None:
-        """Take what the referee left of a cell; without it the cell is lost."""
+    def _take_part(
+        self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
+    ) -> list[BatchCell]:
+        """Take the part of judged cells; return those to judge again, where it was not written."""
+        lost = {
+            name: f"the referee failed on it: {verdict.detail}"
+            for name, verdict in ended.items()
+            if verdict.outcome != "finished"
+        }
+        judged = [cell for cell in cells if cell.name in ended and cell.name not in lost]
+        path = self.folder / f"{cells[0].name}.judged"
         try:
-            if verdict.outcome == "finished":
-                self.records[name] = (self.folder / f"{name}.judged").read_bytes()
-                return
-            detail = f"the referee failed on it: {verdict.detail}"
-        except OSError as error:
-            detail = f"its record went away before it was kept: {error}"
-        self.outcomes[name] = Outcome("lost", detail)
+            self.parts.append(read_part(path.read_bytes()))
+            judged = []
+        except DAMAGE as error:
+            if len(judged) == len(cells):
+                detail = f"its record went away before it was kept: {error}"
+                lost, judged = {cell.name: detail for cell in cells}, []
+        self.outcomes |= {name: Outcome("lost", detail) for name, detail in lost.items()}
+        return judged
 
     def _left_steps(self, cell: BatchCell) -> bool:
         """Whether there is something to judge."""

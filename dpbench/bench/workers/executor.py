@@ -15,12 +15,10 @@ from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-import pyarrow as pa
-
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.finished_batch import DAMAGE, Row, batch_part, unpacked
+from dpbench.bench.record.finished_batch import BatchPart, batch_part
 from dpbench.bench.record.raw_log import discard
 from dpbench.bench.record.step_table import no_steps
 from dpbench.bench.sequences.source import log_size
@@ -148,7 +146,7 @@ class CellExecutor(ExitStack):
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
-        return self._results(outcomes, run.records, run.folder) + self._lost.pop(run)
+        return self._results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
     def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them all.
@@ -173,15 +171,16 @@ class CellExecutor(ExitStack):
         shares = filter(None, (cells[i :: len(self._cores)] for i in range(len(self._cores))))
         # Judged on every core, whatever the slots: nothing is timed any more.
         runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
-        records: dict[str, bytes] = {}
+        parts: list[BatchPart] = []
         unanswered = {job.run_id for job in stepped}
         with self._machine(TOGETHER):
             for run in run_on_cores(runs, self._cores):
                 outcomes |= run.outcomes
-                records |= run.records
-                unanswered -= run.outcomes.keys() | run.records.keys()
+                parts += run.parts
+                unanswered -= run.outcomes.keys()
+        unanswered -= {name for part in parts for name in part.outcomes}
         answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
-        return lost + self._results(answered, records, folder)
+        return lost + self._results(answered, parts, folder)
 
     def _by_turns(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
@@ -292,44 +291,37 @@ class CellExecutor(ExitStack):
         return self._concurrency if cell.is_timed else None
 
     def _results(
-        self, outcomes: Mapping[CellJob, Outcome], records: Mapping[str, bytes], folder: Path
+        self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of a batch, and leave nothing in `folder` of what it left there.
+        """Return the results of a batch, those of a part together, and clear its files in `folder`.
 
         Parameters
         ----------
-        records : what the referee made of the steps of cells that left some, by run_id.
+        parts : what the referee made of cells that left steps.
         """
-        kept: dict[str, tuple[Row, pa.RecordBatch]] = {}
-        became = dict(outcomes)
+        kept = {name: part for part in parts for name in part.outcomes}
+        became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
-            if outcome.outcome != "lost":
-                try:
-                    kept[job.run_id] = self._kept(job, outcome, records.get(job.run_id))
-                except DAMAGE as error:
-                    became[job] = Outcome("lost", f"its record cannot be kept: {error}")
+            if outcome.outcome in ("finished", "timed_out") and job.run_id not in kept:
+                detail = "its record cannot be kept: the steps it made went away"
+                became[job] = Outcome("lost", detail)
+            elif outcome.outcome != "lost" and job.run_id not in kept:
+                about = job.run_id, job.cell, outcome, job.library, self._machine_id
+                row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+                without_steps[job.run_id] = row, no_steps()
             discard(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
-                # What stands in a file's place by somebody else's doing goes with the folder.
+                # What somebody else put in a file's place goes with the folder.
                 with suppress(OSError):
                     (folder / f"{job.run_id}.{suffix}").unlink()
-        part = batch_part(kept) if kept else None
-        return [
-            Result(job.run_id, outcome, part if job.run_id in kept else None)
+        if without_steps:
+            kept |= dict.fromkeys(without_steps, batch_part(without_steps))
+        turn = {part: i for i, part in enumerate(kept.values())}
+        results = [
+            Result(job.run_id, outcome, None if outcome.outcome == "lost" else kept[job.run_id])
             for job, outcome in became.items()
         ]
-
-    def _kept(
-        self, job: CellJob, outcome: Outcome, record: bytes | None
-    ) -> tuple[Row, pa.RecordBatch]:
-        """Return the row and the steps of a cell; ValueError where it should have left some."""
-        if record is not None:
-            return unpacked(record)
-        if outcome.outcome in ("finished", "timed_out"):
-            raise ValueError("the steps it made went away")
-        about = job.run_id, job.cell, outcome, job.library, self._machine_id
-        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-        return row, no_steps()
+        return sorted(results, key=lambda result: turn[result.part] if result.part else -1)
 
 
 def _lost(job: CellJob, cause: str) -> Result:

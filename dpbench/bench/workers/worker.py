@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
@@ -23,7 +24,7 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.finished_batch import packed
+from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
@@ -410,29 +411,32 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Let the referee judge the raw logs of cells; a record of each, as `packed` makes it, appears
-    in `folder` as `<name>.judged`.
+    """Let the referee judge the raw logs of cells in a process that never loaded their solver.
 
-    Runs in a process of its own, in which the solver under test was never loaded.
+    Their part appears in `folder` as `<name of the first>.judged`.
     """
     pin(core)
     settle()
+    judged: dict[str, tuple[Row, pa.RecordBatch]] = {}
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
-        (folder / f"{batch_cell.name}.judged").write_bytes(_judged(batch_cell, log))
+        judged[batch_cell.name] = _judged(batch_cell, log)
+        if i + 1 == len(cells):
+            # Before the last verdict, so that a cell is to blame if this ends the process.
+            (folder / f"{cells[0].name}.judged").write_bytes(batch_part(judged).data)
         write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
-def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:
-    """The record of a cell that ran."""
+def _judged(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
+    """Return the row and the steps of a cell that ran."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
     evaluated = _evaluate(cell, batch_cell.source, log)
     steps = step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
     row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
-    return packed(row, step_batch(steps))
+    return row, step_batch(steps)
 
 
 def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:

@@ -20,7 +20,7 @@ from dpbench.bench.judge.rows import step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
-from dpbench.bench.record.finished_batch import BatchPart, batch_part, packed, unpacked
+from dpbench.bench.record.finished_batch import BatchPart, batch_part
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.bench.record.step_table import (
@@ -101,14 +101,6 @@ def tables_of(store: CellStore) -> list[pa.Table]:
 def names_in(store: CellStore) -> list[str]:
     """The runs whose steps the store gives, in order."""
     return [table["run_id"][0].as_py() for table in tables_of(store)]
-
-
-def test_a_record_comes_back_bit_for_bit() -> None:
-    """Row and steps."""
-    batch = step_batch(steps_of(1))
-    row, again = unpacked(packed(row_of("a"), batch))
-    assert again.equals(batch) and again.schema.equals(batch.schema)
-    assert row["settle_s"] == np.inf and row["effort_s"] == 0.1 + 0.2 and row["N_p"] is None
 
 
 def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
