@@ -1,7 +1,6 @@
-"""What `machine.json` and `suite.json` contain: keys, and types of values.
+"""Types of `machine.json` and `suite.json`.
 
-Any key may be missing but the required ones, and further ones may be there: earlier releases wrote
-fewer, later ones may write more.
+All keys but the required ones may be missing, and unknown ones may be present: releases differ.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
 class ComparedMachine(TypedDict, total=False):
-    """What makes times of two machines comparable."""
+    """Properties that make times of two machines comparable."""
 
     cpu_model: str
     cores: int
@@ -33,7 +32,7 @@ class ComparedMachine(TypedDict, total=False):
 
 @with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
-    """`machine.json`; `others` are machines of which cells were gathered too."""
+    """`machine.json`; `others` are machines whose cells were gathered too."""
 
     id: Required[str]
     governor: str
@@ -95,7 +94,7 @@ class SuiteDescription(TypedDict, total=False):
 
 
 def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
-    """The document of a file as a type; ResultsError, naming the key, where it has others."""
+    """Return the document of a file as a type; ResultsError, naming the key, for other types."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
         return _adapter(kind).validate_json(json.dumps(document))

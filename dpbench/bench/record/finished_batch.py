@@ -27,7 +27,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 
 
 def _plain(value: object) -> object:
-    """Return what JSON has for a number of NumPy, and for one that is missing."""
+    """Return a number of NumPy, or a missing one, as JSON has it."""
     if value is pd.NA:
         return None
     if isinstance(value, np.generic):
@@ -37,12 +37,7 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class BatchPart:
-    """The finished cells of a batch, as the bytes of a part.
-
-    Parameters
-    ----------
-    outcomes : what became of each, by run_id.
-    """
+    """The finished cells of a batch: the outcome of each by run_id, and the bytes of the part."""
 
     outcomes: Mapping[str, str]
     data: bytes
@@ -67,8 +62,7 @@ def read_part(data: bytes) -> BatchPart:
 
 
 def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
-    """Return the columns of runs in the metadata of a part, all of one length; one of `DAMAGE`
-    where there are none."""
+    """Return the columns of runs in the metadata of a part; one of `DAMAGE` without any."""
     try:
         columns = json.loads((metadata or {})[RUNS.encode()])
     except RecursionError as error:

@@ -30,13 +30,13 @@ THREAD_VARIABLES = (
 
 
 def pin_threads() -> None:
-    """Ask every numerical library that starts after this for one thread."""
+    """Limit every numerical library that is loaded later to one thread."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
 
 def clock_read_ns() -> tuple[float, int]:
-    """Median cost of reading the clock and the smallest difference it shows [ns]."""
+    """Return the median cost of reading the clock and its smallest difference [ns]."""
     clock = time.perf_counter_ns
     reads = [clock() for _ in range(20_000)]
     steps = sorted(b - a for a, b in pairwise(reads))
@@ -44,10 +44,10 @@ def clock_read_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """What `machine.json` holds; `id` hashes what makes timings comparable.
+    """Return the content of `machine.json`; `id` hashes what makes timings comparable.
 
-    The id covers CPU model, cores, memory, kernel release, Python and the libraries every
-    configuration uses; a solver's own version is part of each cell's key instead.
+    That is CPU model, cores, memory, kernel release, Python and the libraries of every
+    configuration; a solver's own version is part of each cell's key instead.
     """
     read_cost, resolution = clock_read_ns()
     lasting: ComparedMachine = {
@@ -88,7 +88,7 @@ def _first_line(path: str) -> str:
 
 
 def _blas() -> list[str]:
-    """The BLAS libraries that are loaded, with the kernels they chose for this processor."""
+    """Return the loaded BLAS libraries with their kernels for this processor."""
     return [
         " ".join(
             str(pool[key]) for key in ("internal_api", "version", "architecture") if pool.get(key)

@@ -1,4 +1,4 @@
-"""QP sources: what the QPs of a cell are made from, and what holds of each kind.
+"""QP sources: the origin of the QPs of a cell, and the properties of each kind.
 
 A source is part of its cell's description. `sequences/source.py` makes and reads its QPs.
 """
@@ -18,17 +18,13 @@ from dpbench.qp.random_recipe import RandomRecipe
 
 @dataclass(frozen=True)
 class QPSource:
-    """A source of QPs.
-
-    Parameters
-    ----------
-    name : of the replayed sequence.
+    """A source of QPs; `name` is that of the replayed sequence.
 
     Attributes
     ----------
     kind : its name in descriptions of cells.
     is_timed : whether its QPs follow each other in time, so that times of replays are compared.
-    is_judged : whether replays of it are part of verdicts; others have a topic of their own.
+    is_judged : whether replays of it are part of verdicts.
     is_of_controller : whether its QPs are those of the scenario's controller.
     """
 
@@ -40,23 +36,23 @@ class QPSource:
     name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description as plain values, for JSON; none of a cell without a source."""
+        """Return the description as plain values for JSON; none without a source."""
         return {"kind": self.kind, **asdict(self)} if self.kind else {}
 
     def stretch(self, steps: int) -> int:
-        """Return how many steps of its loop or sequence a replay of so many is chosen from."""
+        """Return the steps of its loop or sequence from which so many are chosen."""
         return steps
 
 
 class ControllerSource(QPSource):
-    """The controller of the cell's scenario, along the exactly solved loop."""
+    """The controller of the cell's scenario, along the reference loop."""
 
     is_of_controller = True
 
 
 @dataclass(frozen=True)
 class HardestSource(QPSource):
-    """The hardest steps in a row of a stretch of `of` steps of the exactly solved loop."""
+    """The hardest consecutive steps of a stretch of `of` steps of the reference loop."""
 
     kind = "hardest"
     is_of_controller = True
@@ -70,7 +66,7 @@ class HardestSource(QPSource):
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """The loss of the failure group `group` along the exactly solved loop."""
+    """The loss of the failure group `group` along the reference loop."""
 
     kind = "consequence"
     is_judged = False
@@ -80,7 +76,7 @@ class ConsequenceSource(QPSource):
 
 @dataclass(frozen=True)
 class CapabilitySource(QPSource):
-    """The capability boundary of a ship, given as in `vessel_files`, by polygons of some sides."""
+    """The capability boundary of a ship (`vessel_files`), by polygons of some sides."""
 
     kind = "capability"
     is_timed = is_judged = False
@@ -101,13 +97,13 @@ class RandomSource(QPSource):
 
     @classmethod
     def of(cls, recipe: RandomRecipe) -> RandomSource:
-        """Return the source of a recipe, which names the sequence."""
+        """Return the source of a recipe, named after it."""
         return cls(name=recipe.name, recipe=recipe)
 
 
 @dataclass(frozen=True)
 class RecordedSource(QPSource):
-    """A file or a folder that others recorded, by its SHA-256."""
+    """A recorded file or folder, by its SHA-256."""
 
     kind = "recorded"
 
@@ -121,12 +117,12 @@ SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KIND
 
 
 def source_from(values: Mapping[str, Any]) -> QPSource:
-    """Return the source that `to_dict` described.
+    """Return the source of a description.
 
     Raises
     ------
-    InputError : for a kind that is not known.
-    ValidationError : for values that it cannot have.
+    InputError : for an unknown kind.
+    ValidationError : for invalid values.
     """
     if not values:
         return CONTROLLER

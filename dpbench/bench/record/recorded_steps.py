@@ -1,10 +1,7 @@
-"""The steps of a result folder, asked for by run and by column: never the whole of them at once.
+"""The steps of a result folder by run and column, read row group by row group.
 
-    scan    all runs that are wanted, in the order of the table, some hundred thousand rows each
-    of      one run, wherever it stands
-
-A file is read row group by row group, and of each the columns alone that are asked for; row groups
-without a wanted run are not read. So memory is that of one row group, however many runs there are.
+Only requested columns are read, and only row groups with requested runs: memory is that of one row
+group, however many runs there are.
 """
 
 from __future__ import annotations
@@ -40,12 +37,7 @@ KEPT_GROUPS = 2
 
 
 class StepTable(ABC):
-    """The rows of `steps.parquet`, those of a run behind each other.
-
-    Attributes
-    ----------
-    rows : how many there are.
-    """
+    """The rows of `steps.parquet`, those of a run behind each other."""
 
     rows: int
 
@@ -53,24 +45,25 @@ class StepTable(ABC):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """The rows of whole runs, some hundred thousand at a time, with some of `STEP_COLUMNS`.
+        """Yield the rows of whole runs, some hundred thousand at a time.
 
         Parameters
         ----------
+        columns : of `STEP_COLUMNS`.
         run_ids : only the steps of these runs; None for all.
 
         Raises
         ------
-        ResultsError : the file is damaged where it is read.
+        ResultsError : the file is damaged.
         """
 
     @abstractmethod
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The rows of one run; none where it left none. Raises as `scan` does."""
+        """Return the rows of one run, none where it left none; raises as `scan`."""
 
     @abstractmethod
     def frame(self) -> pd.DataFrame:
-        """All rows with all columns, in memory."""
+        """Return all rows with all columns."""
 
 
 class StepsInMemory(StepTable):
@@ -82,7 +75,7 @@ class StepsInMemory(StepTable):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """All of them in one table."""
+        """Yield all rows in one table."""
         some = self._frame[list(columns)]
         if run_ids is not None:
             wanted = [
@@ -93,12 +86,12 @@ class StepsInMemory(StepTable):
             yield some
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """A slice of the table."""
+        """Return a slice of the table."""
         first, end = self._places.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
     def frame(self) -> pd.DataFrame:
-        """The table itself."""
+        """Return the table itself."""
         return self._frame
 
     @cached_property
@@ -111,7 +104,7 @@ class StepsOnDisk(StepTable):
 
     Raises
     ------
-    ResultsError : the file is missing or damaged, or lacks a key, or a column is of another type.
+    ResultsError : the file is missing or damaged, lacks a key, or has a column of another type.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -125,7 +118,7 @@ class StepsOnDisk(StepTable):
     def tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
-        """As `scan`, as Arrow tables."""
+        """Yield tables of Arrow, as `scan` yields frames."""
         for group, places in enumerate(self._places):
             names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
@@ -137,12 +130,12 @@ class StepsOnDisk(StepTable):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """A row group, or what is wanted of it, at a time."""
+        """Yield the requested rows of one row group at a time."""
         for table in self.tables(columns, run_ids):
             yield _as_frame(table, columns)
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """Out of its row group, which is kept for the runs beside it."""
+        """Return a run out of its row group, which stays in memory for its neighbours."""
         group = self._group_of.get(run_id)
         if group is None:
             return as_columns(pd.DataFrame(), _chosen(columns))
@@ -150,12 +143,11 @@ class StepsOnDisk(StepTable):
         return self._read(group, tuple(columns)).iloc[first:end]
 
     def frame(self) -> pd.DataFrame:
-        """The whole file."""
+        """Return the whole file."""
         tables = [_as_frame(table, ALL) for table in self.tables(ALL)]
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check(self, schema: pa.Schema) -> None:
-        """Refuse a file without the keys of a step table, or with columns of other types."""
         missing = sorted(KEYS - self._stored)
         if missing:
             raise lacking(self._path, missing)
@@ -181,7 +173,7 @@ class StepsOnDisk(StepTable):
         return _as_frame(self._table(group, columns), columns)
 
     def _table(self, group: int, columns: Sequence[str]) -> pa.Table:
-        """Some columns of a row group, and `run_id`; those that are in no file as missing."""
+        """Return columns of a row group with `run_id`, absent ones as missing."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]
@@ -195,10 +187,9 @@ class StepsOnDisk(StepTable):
 def scan_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> Iterator[pa.Table]:
-    """The steps of a result folder, some hundred thousand rows of whole runs at a time.
+    """Yield the steps of a result folder, some hundred thousand rows of whole runs at a time.
 
-    Memory is that of one such table, whatever the number of runs; with `run_ids`, what holds none
-    of them is not read.
+    Memory is that of one such table, whatever the number of runs.
 
     Parameters
     ----------
@@ -207,7 +198,7 @@ def scan_steps(
 
     Raises
     ------
-    ResultsError : naming the file, when one is missing or damaged, or has no such column.
+    ResultsError : naming the file, when it is missing or damaged, or has no such column.
     """
     yield from StepsOnDisk(Path(out)).tables(columns, run_ids)
 
@@ -215,7 +206,7 @@ def scan_steps(
 def read_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> pa.Table:
-    """As `scan_steps`, in one table."""
+    """Return the steps of a result folder in one table, as `scan_steps` yields them."""
     tables = list(scan_steps(out, columns, run_ids))
     if tables:
         return pa.concat_tables(tables).unify_dictionaries()
@@ -224,7 +215,7 @@ def read_steps(
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """What goes wrong as a table is read, as `ResultsError`."""
+    """Raise errors of reading a table as `ResultsError`."""
     try:
         yield
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
@@ -236,20 +227,20 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def lacking(path: Path, columns: Sequence[str]) -> ResultsError:
-    """That a table has not some columns."""
+    """Return the error of a table without some columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
 
 
 def of_another_type(path: Path, which: str) -> ResultsError:
-    """That a table has other things in a column."""
+    """Return the error of a column of another type."""
     return ResultsError(
         str(path), "", f"a column of another type ({which})", "the types of schema.py"
     )
 
 
 def places_of(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
-    """Of labels (N,) that are ordered: the first place of each, and the one after its last."""
+    """Return the first place of each of ordered labels (N,), and the one after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
@@ -260,7 +251,7 @@ def _chosen(columns: Sequence[str]) -> Columns:
 
 
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
-    """Some columns of a table with the types of the schema; the few words stay a word each."""
+    """Return columns of a table with the types of the schema, strings as categories."""
     frame = plain_frame(table.select(list(columns)))
     types = {
         name: STEP_COLUMNS[name][0]
@@ -271,8 +262,7 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _fits(stored: pa.DataType, name: str) -> bool:
-    """Whether a stored type can be that of a column; whole numbers of which some are missing may
-    have become others in a program that has no such type."""
+    """Return whether a stored type suits a column; other programs store integers as floats."""
     number = (pa.types.is_integer, pa.types.is_floating)
     kinds = {
         "str": (pa.types.is_string, pa.types.is_large_string, pa.types.is_dictionary),

@@ -42,8 +42,7 @@ class Results:
 
     Parameters
     ----------
-    runs : the rows of `runs.parquet`; recorded : those of `steps.parquet`, asked for by run and
-        column.
+    runs : rows of `runs.parquet`; recorded : those of `steps.parquet`, by run and column.
     machine, suite : `machine.json` and `suite.json`.
     """
 
@@ -54,7 +53,7 @@ class Results:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps in memory, some 500 bytes each; of large folders ask `recorded`."""
+        """All steps in memory, some 500 bytes each; use `recorded` for large folders."""
         return self.recorded.frame()
 
 
@@ -64,14 +63,14 @@ def claimed(
     suite: str,
     patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
-    """Hold a result folder for one campaign of `suite`, making it if need be.
+    """Lock a result folder for one campaign of `suite`, and make it where it is missing.
 
     A report that is being written there is waited for with `patience`.
 
     Raises
     ------
-    InputError : when it cannot be written, holds other things or the results of another suite, its
-        folder of cells is a link, or another campaign is running in it. Nothing is changed then.
+    InputError : it cannot be written, has other files or the results of another suite, its folder
+        of cells is a link, or another campaign uses it. Nothing is changed then.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -102,15 +101,15 @@ def claimed(
 
 
 def _lock_file(path: Path) -> int:
-    """Open a file that is locked, and never written."""
+    """Open a file for locking."""
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
 @contextmanager
 def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
-    """Hold a folder for a campaign or a report that writes into it, once no other does.
+    """Lock a folder against other campaigns and reports; a wait is reported on stderr.
 
-    A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+    A missing folder, or one on a disk without locks, is not locked.
 
     Raises
     ------
@@ -131,8 +130,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
 
 
 def accidents(out: Path) -> tuple[int, list[str]]:
-    """How many cells and designs of a result folder the benchmark lost itself, and what is to be
-    said of it.
+    """Return the number of lost cells and designs of a result folder, and its remarks.
 
     Raises
     ------
@@ -144,12 +142,12 @@ def accidents(out: Path) -> tuple[int, list[str]]:
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read a result folder: its runs, and of its steps what is asked for later.
+    """Read the runs of a result folder; its steps are read on request.
 
     Parameters
     ----------
-    without_steps : a folder that has no `steps.parquet`, as one that was sent to others, will do;
-        its table of steps is empty.
+    without_steps : accept a folder without `steps.parquet`, as one that was sent to others; its
+        table of steps is empty.
 
     Raises
     ------
@@ -171,14 +169,13 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 
 
 def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
-    """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
-    damaged."""
+    """Return `machine.json` and `suite.json`; ResultsError, naming the file, for damage."""
     path = folder / "machine.json"
     return validated(read_json(path), MachineDescription, path), read_suite(folder)
 
 
 def read_suite(folder: Path) -> SuiteDescription:
-    """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
+    """Return `suite.json`; ResultsError, naming file and key, where it is damaged."""
     path = folder / "suite.json"
     return validated(read_json(path), SuiteDescription, path)
 
@@ -206,23 +203,22 @@ def _read_runs(folder: Path) -> pd.DataFrame:
 
 
 def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
-    """ResultsError for a solver by whose name no file can be called, as `report --for` does."""
+    """Refuse a solver whose name is no file name, as `report --for` writes one."""
     for name in runs["solver"].unique():
         if not is_file_name(str(name)):
             raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; ResultsError, naming the file, where there is none."""
+    """Return the JSON object of a file; ResultsError, naming the file, where there is none."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of those files of a folder that are there, by name."""
+    """Return the SHA-256 of those files of a folder that exist, by name."""
     return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
 
 
 def _sha256(path: Path) -> str:
-    """Of a file that may be larger than the memory there is."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

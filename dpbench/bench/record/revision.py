@@ -1,4 +1,4 @@
-"""Which commit of dpbench made a run: from its git checkout, or from what an installer noted."""
+"""The commit of dpbench that made a run: from its git checkout, or from its installer."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ WAIT_S = 10.0
 
 @cache
 def revision() -> Revision:
-    """The revision of the running package."""
+    """Return the revision of the running package."""
     return checked_out(Path(__file__).parents[2]) or installed()
 
 
 def checked_out(package: Path) -> Revision:
-    """The revision of a package that lies in a git checkout, and is a part of it."""
+    """Return the revision of a package that is part of a git checkout."""
     commit = _git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
     part = _git(package, "ls-files", "--error-unmatch", "__init__.py")
@@ -35,7 +35,7 @@ def checked_out(package: Path) -> Revision:
 
 
 def installed() -> Revision:
-    """The commit that dpbench was installed from, as its installer noted it (PEP 610)."""
+    """Return the commit that dpbench was installed from, as noted by its installer (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:
@@ -45,12 +45,12 @@ def installed() -> Revision:
 
 
 def revisions(earlier: list[Revision], now: Revision) -> list[Revision]:
-    """All revisions that cells of a folder were run with, the latest last."""
+    """Return all revisions that cells of a folder were run with, the latest last."""
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 
 def revision_text(suite: SuiteDescription) -> str:
-    """The revisions that `suite.json` names, in words; empty where it names none."""
+    """Return the revisions of `suite.json` in words; "" where there are none."""
     named = [
         f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
         for one in suite.get("revisions", [])
@@ -59,13 +59,13 @@ def revision_text(suite: SuiteDescription) -> str:
 
 
 def made_by(suite: SuiteDescription) -> str:
-    """The dpbench that made a run, by what `suite.json` says: its version and revisions."""
+    """Return version and revisions of dpbench in `suite.json`."""
     version = f"dpbench {suite.get('harness_version', '')}"
     return ", ".join(filter(None, (version, revision_text(suite))))
 
 
 def _git(folder: Path, *words: str) -> str | None:
-    """What git says in a folder; None where it is missing or fails."""
+    """Return the output of git in a folder; None where it is missing or fails."""
     try:
         answer = subprocess.run(
             ["git", "-C", str(folder), *words],

@@ -1,4 +1,4 @@
-"""What the values of `runs.parquet` must be for the analysis to count with them."""
+"""Checks of the values of `runs.parquet` that the analysis relies on."""
 
 from __future__ import annotations
 
@@ -26,12 +26,7 @@ _LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, 
 
 
 def check_runs(runs: pd.DataFrame, path: Path) -> None:
-    """Refuse rows that no campaign writes.
-
-    Raises
-    ------
-    ResultsError : naming the column, and the row from 0.
-    """
+    """Refuse rows that no campaign writes; ResultsError, naming the column and the row from 0."""
     for column, is_bad, allowed in _rules(runs):
         if is_bad.any():
             row = int(is_bad.to_numpy().argmax())
@@ -41,7 +36,7 @@ def check_runs(runs: pd.DataFrame, path: Path) -> None:
 
 
 def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
-    """Column, rows that break its rule, and the rule."""
+    """Yield column, rows that break its rule, and the rule."""
     for column, words in _WORDS.items():
         yield column, ~runs[column].isin(words), " | ".join(words)
     for column, least in _LEAST.items():
