@@ -24,8 +24,6 @@ def cell(solver: str, steps: int, **more: object) -> PlannedCell:
 
 @pytest.mark.parametrize("slots", [1, 2])
 def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
-    """Loops share the slots, replays run one by one with all their rounds, and a configuration that
-    was not run before takes the stated step."""
     kind = ("closed_loop", "daqp", "native", "fresh", "default", "condensed_box", "scaled")
     rates = Rates("a test", {kind: 0.004})
     loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
@@ -39,7 +37,6 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 
 
 def test_what_does_not_run_takes_nothing() -> None:
-    """Refused cells are counted apart, and so are those of which nothing is known."""
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
     found = estimated([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
@@ -71,8 +68,6 @@ policies = ["fresh", "warm"]
 def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The count of cells and steps is that of the plan; three lines name where the rates come
-    from."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
@@ -98,7 +93,6 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
 
 
 def test_without_a_folder_rates_are_stated(tmp_path: Path) -> None:
-    """Nor does a folder that is none, or damaged, end the command."""
     assert rates_of(tmp_path) == rates_of(tmp_path / "none") == STATED
     (tmp_path / "runs.parquet").write_bytes(b"no table")
     assert rates_of(tmp_path) == STATED

@@ -47,7 +47,6 @@ steps = 3
 
 @pytest.mark.slow
 def test_a_campaign_starts_without_what_it_does_not_need() -> None:
-    """Neither the page's libraries nor a solver's nor the large parts of SciPy."""
     from dpbench.solvers.table import TABLE
 
     solvers = [row.module for row in TABLE.values() if row.module]
@@ -66,7 +65,6 @@ print(*sorted({{*{NEEDLESS!r}, *{solvers!r}}} & set(sys.modules)))
 def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(
     tmp_path: Path, engine: str
 ) -> None:
-    """Also where it does not ask whether it is the main program."""
     if engine == "dask":
         pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")

@@ -9,6 +9,5 @@ from dpbench.bench.tabulate import RequestedRuns
 
 
 def test_a_shard_without_cells_has_a_table_without_rows() -> None:
-    """There may be more shards than there is to divide."""
     rows = RequestedRuns([]).rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
     assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

@@ -39,7 +39,6 @@ steps = 6
 
 @pytest.fixture(scope="session")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its file."""
     path = tmp_path_factory.mktemp("engines") / "tiny.toml"
     path.write_text(SUITE, encoding="utf-8")
     return path
@@ -47,5 +46,4 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def undisturbed(suite: Path) -> Path:
-    """What the engine of one machine makes of it."""
     return run_campaign(suite, suite.parent / "undisturbed")

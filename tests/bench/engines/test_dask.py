@@ -114,7 +114,6 @@ def cluster_in(folder: Path) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the file of the scheduler lies."""
     return tmp_path_factory.mktemp("scheduler")
 
 
@@ -128,8 +127,6 @@ def scheduler(place: Path) -> Iterator[Cluster]:
 def test_a_cluster_of_this_machine_gives_the_same(
     suite: Path, undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Loops, replays and random problems, to the last bit; the replays had the machine alone, and
-    nobody hears what workers say of themselves."""
     out = run_campaign(suite, tmp_path / "out", engine="dask", jobs=2)
     assert capfd.readouterr() == ("", "")
     assert_same(out, undisturbed)
@@ -144,8 +141,6 @@ def test_a_cluster_of_this_machine_gives_the_same(
 def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its cells run elsewhere, one by one; what kills every worker is lost, and blamed on no
-    solver."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     module, path = tmp_path / "killing.py", tmp_path / "tiny.toml"
     killer = KILLER.replace("MARKER", repr(str(tmp_path / "marker")))
@@ -182,7 +177,6 @@ if __name__ == "__main__":
 def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
     suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """What was finished stands, and is not run again."""
     script, out = tmp_path / "killed.py", tmp_path / "out"
     script.write_text(KILLED, encoding="utf-8")
     words = ["run", str(suite), "--out", str(out), "--quiet", "--engine", "dask", "--jobs", "1"]
@@ -199,8 +193,6 @@ def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
 def test_replays_beside_others_enter_no_ranking(
     suite: Path, tmp_path: Path, scheduler: Cluster
 ) -> None:
-    """No worker offers its machine alone: it is said before, it stands in the rows, and nobody
-    ranks their times."""
     watching = Watching(0, None)
     given = {"engine": "dask", "scheduler": scheduler[0], "solvers": ["daqp"]}
     out = run_campaign(suite, tmp_path / "out", progress=watching, **given)
@@ -223,7 +215,6 @@ def test_workers_that_join_late_are_given_tasks(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As many as those that were there from the beginning."""
     monkeypatch.setattr(dask_engine, "REFRESH_S", 0.0)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     submit, results, away = DaskEngine.submit, DaskEngine._results, [0, 0]
@@ -269,7 +260,6 @@ def test_a_connection_that_breaks_and_comes_back_loses_nothing(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Batches and sources on their way are handed over again."""
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
     watching = Watching(3, _break_connection)
@@ -291,7 +281,6 @@ def test_a_late_worker_of_another_version_costs_no_cell(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It is refused before it is given work, and that is said."""
     monkeypatch.setattr(dask_engine, "REFRESH_S", 0.1)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     preload = tmp_path / "other.py"
@@ -324,7 +313,6 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The campaign ends with what it has; the same suite completes it, on whatever engine."""
     monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
@@ -400,7 +388,6 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Designs and capability plots: exit 1, what was finished stands, the same command goes on."""
     monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     path, out = tmp_path / "tiny.toml", tmp_path / "out"
     path.write_text(text, encoding="utf-8")
@@ -420,7 +407,6 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
 def test_a_scheduler_that_does_not_answer_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 2 within seconds, and no result folder is begun."""
     out = tmp_path / "out"
     words = ["run", "smoke", "--out", str(out), "--engine", "dask", "--scheduler"]
     for address in ("tcp://127.0.0.1:1", "nowhere://x"):

@@ -94,7 +94,6 @@ def _known(arg: object) -> object:
 def test_sources_of_a_task_whose_worker_died_are_made_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No cell is lost for another's source."""
     client = Client()
 
     @contextmanager

@@ -85,8 +85,6 @@ class Visited:
 def test_nobody_else_reaches_a_cluster_of_this_machine(
     suite: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Scheduler, nannies and workers listen on the loopback alone, to clients of their own
-    certificate alone, and the campaign is not disturbed by others."""
     visited, path = Visited(), tmp_path / "loops.toml"
     path.write_text(suite.read_text(encoding="utf-8").split("[[replay]]")[0], encoding="utf-8")
     given = {"engine": "dask", "jobs": 2, "solvers": ["daqp"], "progress": visited}
@@ -127,8 +125,6 @@ if __name__ == "__main__":
 def test_ctrl_c_twice_is_one_line_and_leaves_nothing(
     suite: Path, tmp_path: Path, when: str
 ) -> None:
-    """As a terminal sends it, to all processes: once as the cluster starts or runs, once more as
-    it ends."""
     script, place = tmp_path / "pressed.py", tmp_path / "t"
     script.write_text(PRESSED_TWICE, encoding="utf-8")
     place.mkdir()

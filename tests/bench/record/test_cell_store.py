@@ -104,7 +104,6 @@ def names_in(store: CellStore) -> list[str]:
 
 
 def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
-    """All columns, from the file."""
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
     file.add(concat_runs({"a": step_batch(steps)}))
@@ -114,7 +113,6 @@ def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatch: Any) -> None:
-    """In tables of whole runs, each of them once."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
@@ -131,7 +129,6 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 
 def test_of_no_runs_nothing_is_held() -> None:
-    """What waits to be written beside a table must not keep the table in memory."""
     table = concat_runs({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
     assert filter_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
     nothing = filter_runs(table, {"c"})
@@ -140,7 +137,6 @@ def test_of_no_runs_nothing_is_held() -> None:
 
 
 def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
-    """It is run again, and what is beside it is kept."""
     store = CellStore(tmp_path)
     store.add(part("old", schema=SCHEMA_VERSION - 1))
     store.add(part("new", seed=1))
@@ -152,7 +148,6 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     "wrong", [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"cell": "{"}, {"cell": 5}]
 )
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    """Whoever wrote it has a right check sum; the other rows of its batch are read."""
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
     steps = step_batch(steps_of(0))
     CellStore(tmp_path).add(batch_part({name: (row, steps) for name, row in rows.items()}))
@@ -163,7 +158,6 @@ def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, A
 @pytest.mark.parametrize("at", [0, 10, -100, -1])
 @pytest.mark.parametrize("how", ["flipped", "cut", "empty"])
 def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) -> None:
-    """Wherever the damage is; while the campaign runs, too."""
     store = filled(tmp_path, "a", "b", "c")
     path = store.parts[1].steps
     data = bytearray(path.read_bytes())
@@ -175,7 +169,6 @@ def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) ->
 
 
 def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any) -> None:
-    """Nothing is left of it."""
     store, write = filled(tmp_path, "a"), Path.write_bytes
 
     def full(path: Path, data: bytes) -> None:
@@ -192,7 +185,6 @@ def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any)
 
 
 def test_a_batch_is_one_file(tmp_path: Path) -> None:
-    """Each of its results brings it; anybody can read its steps."""
     store, batch = CellStore(tmp_path), part("a", "b")
     for _ in range(2):
         store.add(batch)
@@ -204,7 +196,6 @@ def test_a_batch_is_one_file(tmp_path: Path) -> None:
 
 
 def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
-    """Beside others, and alone."""
     store = CellStore(tmp_path)
     crashed = row_of("c", outcome="crashed", steps_done=0), no_steps()
     store.add(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
@@ -217,7 +208,6 @@ def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
 def test_tables_of_parts_are_joined(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int
 ) -> None:
-    """Bit for bit, whether their row groups are copied or put together."""
     monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
     store = filled(tmp_path, "a", "b", "c")
     rows, sources = store.collect()
@@ -245,7 +235,6 @@ def twice(tmp_path: Path) -> Iterator[CellStore]:
 
 
 def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
-    """With the row and the steps of the latest."""
     assert names_in(twice) == ["a", "b"]
     assert twice.rows().loc["b", "steps_done"] == 9
     last = tables_of(twice)[1]
@@ -253,7 +242,6 @@ def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
 
 
 def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> None:
-    """As with --fresh: the others stay."""
     filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
     store.forget(["a", "b"])
@@ -265,7 +253,6 @@ def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> No
 def test_of_a_damaged_file_the_groups_that_can_be_read_count(
     tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Each run in a row group of its own: the damaged one is not finished, the others are."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 1)
     write_public(tmp_path, *"abc")
     public = CellStore(tmp_path).public
@@ -278,7 +265,6 @@ def test_of_a_damaged_file_the_groups_that_can_be_read_count(
 
 
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
-    """Killed between the two public tables: what the parts hold counts, once."""
     write_public(tmp_path, "a")
     store = CellStore(tmp_path)
     store.add(part("b", seed=1))
@@ -295,7 +281,6 @@ COPIES += ("part-00001{}.sync-conflict-20261122-101500-ABCDEFG.parquet",)
 
 
 def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
-    """They are neither read nor removed, and the next part has the next number."""
     CellStore(tmp_path).add(part("a", "b"))
     (source,) = (tmp_path / "cells").iterdir()
     copies = [source.with_name(name.format(source.stem[10:])) for name in COPIES]
@@ -311,7 +296,6 @@ def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> N
 
 
 def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
-    """Those of a campaign at work, whole and half done, and of designs and sources."""
     store = filled(tmp_path, "a")
     own = ["exact-0123456789ab.npz", "exact-0123456789ab.part.npz", "design-0123456789abcdef.json"]
     own += ["part-00002-01234567.parquet.part", "design-0123456789abcdef.json.part", ".lock"]
@@ -324,7 +308,6 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
 def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
-    """Be it in place of a part, or of one that is not whole yet."""
     mine, out = tmp_path / "thesis.txt", tmp_path / "out"
     mine.write_text("mine", encoding="utf-8")
     (out / "cells").mkdir(parents=True)
@@ -338,7 +321,6 @@ def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
 
 
 def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
-    """Nothing is written or removed where it points to."""
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "part-00001-0.part").touch()
     (tmp_path / "cells").symlink_to(tmp_path / "elsewhere")
@@ -350,7 +332,6 @@ def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
 def test_tables_are_on_the_disk_before_the_parts_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both files, and then the names in their folder."""
     events: list[tuple[str, str]] = []
     store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
 

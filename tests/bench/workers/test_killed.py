@@ -85,7 +85,6 @@ def undisturbed(suite: Path) -> Path:
 def test_what_was_killed_goes_on_as_if_nothing_was(
     moment: str, finished: int, suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """One row a cell, equal in all that is no time; what was finished is not run again."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", KILLED, moment, "run", str(suite), "--out", str(out)]
     done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, check=False)

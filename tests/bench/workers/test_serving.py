@@ -126,7 +126,6 @@ def pids(suite: Path) -> list[int]:
 
 
 def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> None:
-    """It ends with them; each has its own rows, and its memory is measured."""
     results = run(suite)
     assert len(pids(suite)) == len(SEQUENCES)
     assert len(set(pids(suite))) == 1
@@ -150,7 +149,6 @@ def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> Non
 def test_an_end_in_one_sequence_costs_no_other(
     place: int, way: str, outcome: str, suite: Path
 ) -> None:
-    """The next sequence of that configuration has a new process."""
     results = run(suite, f"{place} {way}")
     wanted = ["finished"] * len(SEQUENCES)
     wanted[place - 1] = outcome
@@ -167,8 +165,6 @@ def test_an_end_in_one_sequence_costs_no_other(
 def test_a_hang_is_followed_by_a_process_that_goes_on(
     place: int, suite: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has the sequence from the next step on, and those after it; the step has no answer in any
-    round, as it is not tried again."""
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
     suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     results = run(suite, f"{place} stay")
@@ -183,7 +179,6 @@ def test_a_hang_is_followed_by_a_process_that_goes_on(
 @pytest.mark.alone  # What else runs could use up a limit of one second.
 @pytest.mark.parametrize("place", [1, 3])
 def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Path) -> None:
-    """The limit stops the round, and the same process serves the sequences after it."""
     suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     with ended_after(60):
         results = run(suite, f"{place} pause")
@@ -211,7 +206,6 @@ def ended_after(seconds: int) -> Iterator[None]:
 
 
 def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> None:
-    """By a process of its own: what refused may have been the problem."""
     results = run(suite, "2 refuse")
     assert list(results.runs["outcome"]) == ["finished", "refused", "finished"]
     assert "another one today" in results.runs["outcome_detail"].iloc[1]
@@ -220,7 +214,6 @@ def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> Non
 
 
 def test_answers_do_not_depend_on_what_a_process_served_before(suite: Path, tmp_path: Path) -> None:
-    """The second sequence as the first of its process has the same bits."""
     undisturbed = run(suite)
     suite.with_name("out").rename(tmp_path / "undisturbed")
     suite.with_name("pids").unlink()
@@ -253,7 +246,6 @@ class _Interrupts(Progress):
 
 
 def test_ctrl_c_leaves_no_process(suite: Path) -> None:
-    """Neither the one at work nor one that waits."""
     with pytest.raises(KeyboardInterrupt):
         run_campaign(
             suite,
@@ -282,7 +274,6 @@ class _Stopped:
 
 
 def test_a_worker_stopped_by_its_limit_is_not_waited_for(tmp_path: Path) -> None:
-    """It serves no more rounds, and ends when it is told to."""
     cell = cast("Cell", SimpleNamespace(limit_s=1.0))
     worker = ReplayWorker("a", cell, cast("ServingChild", _Stopped()))
     group = ReplayGroup(cast("IdleWorkers", None), tmp_path, tmp_path, [])
