@@ -1,9 +1,8 @@
-"""Cells of one configuration one after the other in one process, then judged one after the other.
+"""Cells of one configuration in one process, one after the other, then judged likewise.
 
-Importing a library takes up to most of a second, and so it is for a batch where its cells take some
-milliseconds each. Nothing of a batch is compared by its times: only replays are (`interleaved.py`).
-A cell that crashes costs only itself, and one that hangs the step it hung in where it can go on
-behind that; it, and those after it, go on in a new process.
+Importing a library takes up to most of a second, cells of a batch some milliseconds each. Their
+times are not compared: only replays are (`interleaved.py`). A cell that crashes costs only itself,
+and one that hangs only that step where it can go on behind it; the rest go on in a new process.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ EVALUATION_LIMIT_S = 600.0
 
 
 class Item(Protocol):
-    """What a process has several of to do, one after the other."""
+    """One of several things that a process does in turn."""
 
     @property
     def name(self) -> str:
-        """Under which its verdict appears."""
+        """Name of its verdict."""
 
     @property
     def limit_s(self) -> float | None:
-        """What it may take; None for any time."""
+        """Its longest run time; None for no limit."""
 
 
 AnyItem = TypeVar("AnyItem", bound=Item)
@@ -45,9 +44,7 @@ AnyItem = TypeVar("AnyItem", bound=Item)
 class _Run(Child, Generic[AnyItem]):
     """One process that goes through items in order, each with a verdict of its own.
 
-    Parameters
-    ----------
-    alone : whether nothing else runs beside it.
+    `alone` tells whether nothing else runs beside it.
     """
 
     def __init__(
@@ -73,7 +70,7 @@ class _Run(Child, Generic[AnyItem]):
         self.alone = alone
 
     def _advance(self) -> None:
-        """Watch the first item that has no verdict yet."""
+        """Watch the first item without a verdict."""
         while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
@@ -91,7 +88,7 @@ class _Run(Child, Generic[AnyItem]):
         return time.monotonic() - self._born > GRACE_S and self.kill("")
 
     def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
-        """Once the process ended: what became of the items it came to, and those still to do."""
+        """Return, of a process that ended, the outcomes of its items and those still to do."""
         self.join()
         self._advance()
         outcomes = {}
@@ -110,13 +107,12 @@ class CellRun:
 
     Parameters
     ----------
-    cells : what the worker needs of each cell, in order.
-    to_run : whether they are to be run; where not, they were before, and left steps.
+    to_run : whether the cells are to be run; otherwise they left steps before.
 
     Attributes
     ----------
-    outcomes : what became of them, without those that were at work or to come when the fork server
-        died; parts : the cells that left steps, with these.
+    outcomes : outcome of each cell, without those that a dead fork server took along.
+    parts : the cells that left steps, with these.
     """
 
     def __init__(
@@ -138,7 +134,7 @@ class CellRun:
         return self._process(self._cells, core)
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Record what became of the process that ended; start the next one, None at the end."""
+        """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
         if self._to_run:
@@ -158,8 +154,7 @@ class CellRun:
         return self._process(rest, core) if rest else None
 
     def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
-        """The cell that was killed as it hung in a step, to go on behind it, and no longer among
-        those that ended; none where there is no such cell."""
+        """Return the cell that was killed in a step, to go on behind it; else none."""
         for i, batch_cell in enumerate(self._cells):
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
@@ -175,7 +170,7 @@ class CellRun:
     def _take_part(
         self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
     ) -> list[BatchCell]:
-        """Take the part of judged cells; return those to judge again, where it was not written."""
+        """Take the part of judged cells; return those to judge again, without a part."""
         lost = {
             name: f"the referee failed on it: {verdict.detail}"
             for name, verdict in ended.items()
@@ -194,7 +189,6 @@ class CellRun:
         return judged
 
     def _left_steps(self, cell: BatchCell) -> bool:
-        """Whether there is something to judge."""
         outcome = self.outcomes.get(cell.name)
         if outcome is None or outcome.outcome == "lost":
             return False
@@ -212,7 +206,7 @@ class CellRun:
 
 @dataclass(frozen=True)
 class FileTask:
-    """A file to be made at `path` from its description, within `limit_s`, if that is not None."""
+    """A file to be made at `path` from its description, within `limit_s` if that is not None."""
 
     description: str
     path: Path
@@ -220,7 +214,7 @@ class FileTask:
 
     @property
     def name(self) -> str:
-        """Under which its process leaves its verdict."""
+        """Name of its verdict."""
         return self.path.stem
 
 
@@ -232,12 +226,7 @@ def make_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: 
 
 
 class FileRun:
-    """The files of a batch on their way, several in one process.
-
-    Attributes
-    ----------
-    results : what became of them, as of a `CellRun`.
-    """
+    """The files of a batch on their way, several in one process; `results` as in a `CellRun`."""
 
     def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
         self.batch, self.folder = batch, folder
@@ -250,7 +239,7 @@ class FileRun:
         return self._process([FileTask(text, path, limit_s) for path, text in texts.items()], core)
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Record what became of the process that ended; start the next one, None at the end."""
+        """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _Run), "the processes of a batch are its own"
         ended, rest = child.split()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]

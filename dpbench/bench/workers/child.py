@@ -1,4 +1,4 @@
-"""Start a cell's process, watch its limit, and turn whatever becomes of it into an outcome."""
+"""Start a cell's process, watch its limits, and turn its end into an outcome."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ class NoProcessError(DpbenchError):
 
 
 def template_context(solvers: Iterable[str]) -> ForkServerContext:
-    """The context whose processes are forked from the template (`template.py`), threads pinned.
+    """Return the context of processes forked from the template, with threads pinned.
 
-    The first one of a process decides for which of dpbench's own `solvers` it is made ready; any
-    other loads its kernels when it is opened.
+    Its first call decides which of dpbench's own `solvers` the template has loaded; others load
+    their kernels when opened.
     """
     modules = needed(solvers)
     absent = missing(modules)
@@ -83,7 +83,7 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
 
 @contextmanager
 def _template() -> Iterator[None]:
-    """The template runs, started anew if it died, and processes may be forked in the block."""
+    """Keep the template running, so that processes can be forked in the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -110,15 +110,14 @@ class Child:
     Parameters
     ----------
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
-        says in `shared_status.py` when its solver is at work. Whoever is at work when it ends
-        without a verdict has ended it.
-    folder, name : where its raw log and verdict appear.
-    limit_s : own run time allowed once its log says it started; None for none.
-    logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
+        sets its phase in `shared_status.py`. An end without a verdict is charged to that phase.
+    folder, name : of its raw log and verdict.
+    limit_s : own run time after the start of its log; None for no limit.
+    logs : whether it leaves a raw log; otherwise its time runs from its start.
 
     Attributes
     ----------
-    forkserver_died : whether its template died before it, so that nobody hears of its end.
+    forkserver_died : whether its template died before it, so that its end is unknown.
     alone : whether it runs while nothing else does, because an earlier template died.
 
     Raises
@@ -154,7 +153,7 @@ class Child:
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set where its log and verdict appear from here on; no old verdict is there."""
+        """Set the paths of its log and verdict, and remove an old verdict."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -163,21 +162,21 @@ class Child:
 
     @property
     def raw_path(self) -> Path:
-        """Its raw log; there is none before it started."""
+        """Its raw log, present once it started."""
         return self.folder / f"{self.name}.raw"
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it wrote what became of it; what it does after that changes nothing."""
+        """Whether it wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may have ended its template, and runs once more to know."""
+        """Whether it may have ended its template, and runs once more to find out."""
         return self.forkserver_died and not self.alone
 
     def overdue(self) -> bool:
-        """Kill the process when a limit has passed; true if it did."""
+        """Kill the process when a limit has passed; return whether it was killed."""
         now = time.monotonic()
         self._peak_bytes = max(self._peak_bytes, self._resident_peak())
         if self._was_stopped(now):
@@ -192,12 +191,11 @@ class Child:
         return False
 
     def _resident_peak(self) -> float:
-        """The peak of its memory so far [B]; 0 where it is gone."""
+        """Return the peak of its memory so far [B]; 0 where it is gone."""
         peak = peak_bytes_of(self.process.pid or 0)
         return peak if peak == peak else 0.0
 
     def _was_stopped(self, now: float) -> bool:
-        """Whether it has been stopped for `STOPPED_S`."""
         if not is_stopped(self.process.pid or 0):
             self._stopped_since = None
         elif self._stopped_since is None:
@@ -218,8 +216,7 @@ class Child:
         self.process.join()
 
     def join(self) -> None:
-        """Wait for its end, and end what it started; one whose template died is ended, as that
-        would have ended it."""
+        """Wait for its end, and end what it started; end it where its template died."""
         self._join_process()
         end_orphans(self.notice.keeper, self.notice.template)
         if self.forkserver_died or self.process.exitcode != _UNHEARD:
@@ -235,7 +232,7 @@ class Child:
             return False
 
     def outcome(self) -> Outcome:
-        """What became of it, once it ended."""
+        """Return its outcome, once it ended."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
         by_itself = self.notice.who is Phase.SOLVER and not self._was_killed
@@ -265,12 +262,11 @@ class Child:
         return Outcome("lost", self._cause(code))
 
     def _memory_ran_out(self) -> bool:
-        """Whether the kernel killed for want of memory while the process ran, or does not tell."""
+        """Return whether the kernel killed for memory meanwhile, or hides that."""
         now = _memory_kills()
         return now is None or now != self._memory_kills
 
     def _cause(self, code: int) -> str:
-        """Why it ended without a verdict, in words."""
         if code < 0:
             return f"killed by {_signal_name(-code)}"
         words = self.notice.words
@@ -282,7 +278,7 @@ class Child:
 
     @staticmethod
     def verdict_of(path: Path) -> Outcome:
-        """What the process wrote about a cell."""
+        """Return the outcome that the process wrote."""
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
@@ -290,9 +286,9 @@ class Child:
 
 
 class ServingChild(Child):
-    """A process that takes orders over a pipe, its target's last argument, until None is sent.
+    """A process that takes orders over a pipe, its target's last argument, until None.
 
-    It may serve several cells in turn: `take_up` begins each but the first, `finish` ends each.
+    It may serve several cells: `take_up` begins each but the first, `finish` ends each.
     """
 
     def __init__(
@@ -310,16 +306,16 @@ class ServingChild(Child):
         far_end.close()
 
     def order(self, order: object) -> None:
-        """Send an order; of a process that died meanwhile `reply` knows."""
+        """Send an order; `reply` notices a process that died meanwhile."""
         with suppress(OSError):
             self._orders.send(order)
 
     def ready(self) -> object:
-        """Its first word, for which it has the time to start; None as for `reply`."""
+        """Return its first word, within the time to start; None as for `reply`."""
         return self._word(START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s")
 
     def reply(self, limit_s: float) -> object:
-        """Its next word; None when it died, refused, or hung and was killed for it."""
+        """Return its next word; None when it died, refused, or hung and was killed."""
         return self._word(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
@@ -336,22 +332,19 @@ class ServingChild(Child):
         return None
 
     def take_up(self, folder: Path, name: str) -> None:
-        """Begin another cell: its log and verdict have another folder and name."""
+        """Begin another cell, with another folder and name of log and verdict."""
         self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
     def finish(self) -> Outcome:
-        """End its cell by None, and return what became of that.
-
-        The process goes on if it lives; one that does not reply in time is killed.
-        """
+        """End its cell by None and return its outcome; kill it without a reply in time."""
         self.order(None)
         if self._word(GRACE_S, "did not end when asked to") is True:
             return self.verdict_of(self._verdict)
         return self.outcome()
 
     def dismiss(self) -> Outcome:
-        """Let it end, kill it if it does not, and say what became of it."""
+        """End it, by force if need be, and return its outcome."""
         self.order(None)
         self.process.join(GRACE_S)
         if self.process.is_alive():
@@ -362,8 +355,7 @@ class ServingChild(Child):
 
 
 def _start(process: ForkServerProcess) -> None:
-    """Start a process, again where its template dies meanwhile; NoProcessError if the last of
-    `STARTS` fails."""
+    """Start a process, again where its template dies; NoProcessError after `STARTS` attempts."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
         signal_process(_keeper(), signal.SIGCONT)
@@ -383,13 +375,13 @@ def _start(process: ForkServerProcess) -> None:
 
 
 def _keeper() -> int:
-    """The keeper of the template that runs; 0 for none."""
+    """Return the keeper of the running template; 0 for none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a signal stopped a process (proc(5))."""
+    """Return whether a signal stopped a process (proc(5))."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -405,7 +397,7 @@ def _end(pid: int) -> None:
 
 
 def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
-    """Whether a process is gone, or will be soon."""
+    """Return whether a process ends within `wait_s`."""
     try:
         process = os.pidfd_open(pid)
     except OSError:
@@ -418,9 +410,10 @@ def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
 
 @contextmanager
 def hidden_main_module() -> Iterator[None]:
-    """Processes started in the block need nothing of the program that started the campaign, and
-    do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
-    of them."""
+    """Hide the main program from processes started in the block.
+
+    They would run it again: without `if __name__ == "__main__"` each would start a campaign.
+    """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -437,7 +430,7 @@ def _signal_name(number: int) -> str:
 
 
 def _memory_kills() -> int | None:
-    """How often the kernel killed a process for want of memory since it started; None if unseen."""
+    """Return the number of processes killed for memory since the start of the kernel."""
     try:
         lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""What is compiled, in two parts, and compiling both side by side into Numba's cache."""
+"""Compiled kernels in two modules, compiled side by side into Numba's cache."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.n
 
 
 def needed(solvers: Iterable[str]) -> list[str]:
-    """The modules that cells of these solvers need; `LOOP`, which is the template, last."""
+    """Return the modules that cells of these solvers need; `LOOP`, which is the template, last."""
     return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
 
 
 def missing(modules: Sequence[str]) -> list[str]:
-    """Those of the modules that were not compiled before on this machine, into Numba's cache."""
+    """Return the modules that are not in Numba's cache on this machine yet."""
     folders = cache_folders()
     return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
 
@@ -29,7 +29,7 @@ def missing(modules: Sequence[str]) -> list[str]:
 def compile_in_processes(modules: Sequence[str]) -> None:
     """Compile each of the modules in a process of its own, side by side.
 
-    One that fails is left to whoever needs its kernels, who then compiles and sees the error.
+    The error of one that fails appears where its kernels are needed.
     """
     processes: list[subprocess.Popen[bytes]] = []
     try:

@@ -1,4 +1,4 @@
-"""The one loop that starts processes on cores, waits for them, and ends those that are overdue."""
+"""The loop that starts processes on cores, waits for them, and ends overdue ones."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ POLL_S = 0.1
 
 
 class Task(Protocol):
-    """What takes one process, or several one after the other on the same core."""
+    """A sequence of processes on one core."""
 
     def start(self, core: int) -> Child:
         """Start its first process."""
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Record what became of a process that ended; start the next one, None at the end."""
+        """Record the outcome of a process; start the next one, or return None at the end."""
 
 
 AnyTask = TypeVar("AnyTask", bound=Task)
@@ -42,7 +42,7 @@ class CorePool(Generic[AnyTask]):
         self._waiting.append(task)
 
     def completed(self) -> Iterator[AnyTask]:
-        """Wait until a task has come to its end, if there are any; yield those that have."""
+        """Wait until a task has ended, if there is any; yield those that have."""
         ended: list[AnyTask] = []
         while len(self) and not ended:
             while self._waiting and self._free:
@@ -65,7 +65,7 @@ class CorePool(Generic[AnyTask]):
 
 
 def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
-    """Run tasks, each on one core; yield each when it has come to its end."""
+    """Run tasks, each on one core; yield each when it has ended."""
     pool = CorePool[AnyTask](cores)
     for task in tasks:
         pool.add(task)

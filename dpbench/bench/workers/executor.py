@@ -1,7 +1,7 @@
-"""Run batches in processes of their own on the cores of this machine, and have them judged.
+"""Run batches in processes on the cores of this machine, and have them judged.
 
-In one of two ways: side by side on the cores, closed loops, random sequences and files; and replays
-that are timed, interleaved, one worker at a time.
+Closed loops, random sequences and files run side by side on the cores; timed replays run
+interleaved, one worker at a time.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ WAITING = (
 
 @contextmanager
 def _away_from(core: int) -> Iterator[None]:
-    """Keep this process, whose progress bar redraws itself, off the core that is measured."""
+    """Keep this process, with its progress bar, off the measured core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - {core} or before)
     try:
@@ -53,13 +53,13 @@ def _away_from(core: int) -> Iterator[None]:
 
 
 class CellExecutor(ExitStack):
-    """Runs batches in processes of their own; all of them end with the `with` block.
+    """Runs batches in processes of their own, which end with the `with` block.
 
     Parameters
     ----------
-    cores : those there are; slots : how many processes may work side by side, on as many cores.
+    slots : processes side by side, on as many of the `cores`.
     machine_id : of this machine, for the rows of the cells.
-    modules : where the files of plug-ins lie here, by where they lie for whoever planned the cells.
+    modules : paths of plug-ins on this machine, by their paths where the cells were planned.
     concurrency : of timed replays, see the column of that name.
     work : the result folder, for campaigns that wait for this one.
     patience : with other campaigns on this machine.
@@ -103,9 +103,9 @@ class CellExecutor(ExitStack):
             self._submit_cells(batch, sources)
 
     def completed(self) -> Iterator[tuple[Batch, list[Result]]]:
-        """Wait until batches have come to their end; yield them with their results.
+        """Wait until batches have ended; yield them with their results.
 
-        Cells and files that were at work or to come when the fork server died have none.
+        Cells and files that a dead fork server took along have none.
         """
         while self._refused:
             yield self._refused.pop()
@@ -119,7 +119,7 @@ class CellExecutor(ExitStack):
             yield run.batch, results
 
     def _start(self, run: CellRun | FileRun) -> None:
-        """Have a batch run on the next core, while nobody times replays on this machine."""
+        """Run a batch on the next core, while no campaign times replays on this machine."""
         self._idle.close()
         if not len(self._pool):
             self._sharing.enter_context(self._machine(TOGETHER))
@@ -149,10 +149,7 @@ class CellExecutor(ExitStack):
         return self._results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
     def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
-        """Replay one sequence through all its configurations, interleaved, then judge them all.
-
-        A configuration has one process for all sequences, unless it ends.
-        """
+        """Replay one sequence through all its configurations, interleaved, then judge them."""
         sizes, lost = self._sizes(batch.jobs, sources)
         if not sizes:
             return lost
@@ -185,10 +182,10 @@ class CellExecutor(ExitStack):
     def _by_turns(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """What became of replays that took turns, by run_id.
+        """Return the outcomes of replays that took turns, by run_id.
 
-        Those whose template died run apart, one after the other, where the one that ends the next
-        template is known; all others of them take turns once more.
+        Suspects of a dead template run alone, which finds the one that ends its template; the
+        others take turns once more.
         """
         cells = [(job.run_id, self._here(job.cell)) for job in jobs]
         turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
@@ -211,7 +208,7 @@ class CellExecutor(ExitStack):
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """What became of replays of one sequence that took turns once."""
+        """Return the outcomes of replays of one sequence that took turns once."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
@@ -230,7 +227,7 @@ class CellExecutor(ExitStack):
     def _sizes(
         self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
-        """What each log takes [B]; jobs whose source cannot be read are not in it but lost."""
+        """Return the size of each log [B], and lost results of unreadable sources."""
         sizes: dict[CellJob, int] = {}
         lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
@@ -246,12 +243,12 @@ class CellExecutor(ExitStack):
         return sizes, lost
 
     def _here(self, cell: Cell) -> Cell:
-        """The cell with its plug-in where that lies on this machine."""
+        """Return the cell with the path of its plug-in on this machine."""
         module = self._modules.get(cell.solver_module)
         return cell if module is None else replace(cell, solver_module=module)
 
     def find_machine_free(self, *, times: bool) -> None:
-        """Before anything runs, where patience ends: BusyError at its end.
+        """Raise BusyError early where the machine stays busy beyond the patience.
 
         Parameters
         ----------
@@ -287,18 +284,12 @@ class CellExecutor(ExitStack):
         )
 
     def _concurrency_of(self, cell: Cell) -> int | None:
-        """Of a replay that is timed, the column of that name; None of every other cell."""
         return self._concurrency if cell.is_timed else None
 
     def _results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of a batch, those of a part together, and clear its files in `folder`.
-
-        Parameters
-        ----------
-        parts : what the referee made of cells that left steps.
-        """
+        """Return the results of a batch, those of a part together, and remove its files."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():

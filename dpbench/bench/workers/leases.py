@@ -1,6 +1,6 @@
-"""What processes that know nothing of each other share on a machine: its cores, and its quiet.
+"""Locks shared by separate processes of a user on a machine: its cores, and its quiet.
 
-By locks of files in a folder of this user in the temporary directory.
+They are locks of files in a folder of this user in the temporary directory.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from dpbench.locks import FILE, Holder, Patience, lease, lock_file
 
 
 def lease_folder() -> Path:
-    """The folder of the files that all processes of this user on this machine lock.
+    """Return the folder of the lock files of this user on this machine.
 
     Raises
     ------
-    InputError : what has its name is a link or a file, belongs to another user, or can be written
-        by others.
+    InputError : it is a link or a file, belongs to another user, or can be written by others.
     """
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
@@ -36,7 +35,6 @@ def lease_folder() -> Path:
 
 
 def _fault(found: os.stat_result) -> str:
-    """Why a folder cannot be trusted; "" where it can."""
     if not stat.S_ISDIR(found.st_mode):
         return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
     if found.st_uid != os.getuid():
@@ -55,9 +53,9 @@ def _name(uid: int) -> str:
 
 @contextmanager
 def leased_core() -> Iterator[int]:
-    """A core that this process may use and that nobody else leases as long as the block lasts.
+    """Lease a core of this process that no other process leases during the block.
 
-    Where all are leased, the first of them: more work was given to the machine than it has cores.
+    Where all are leased it is the first of them.
     """
     cores, folder = sorted(os.sched_getaffinity(0)), lease_folder()
     for core in cores:
@@ -75,10 +73,9 @@ def leased_machine(
     patience: Patience = Patience(),  # noqa: B008 - frozen
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
-    """This machine, for whoever times on it ALONE, or TOGETHER with all who do not; false where
-    there is no knowing of others.
+    """Lock this machine, ALONE for timing or TOGETHER for all else.
 
-    Parameters and errors as in `lock_file`.
+    Returns false where locks do not work. Parameters and errors as in `lock_file`.
     """
     path, where = lease_folder() / "machine", "this machine"
     return lock_file(path, how, holder, where=where, patience=patience, say_waiting=say_waiting)

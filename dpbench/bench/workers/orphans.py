@@ -1,8 +1,8 @@
-"""Processes that a worker started and left: finding them and ending them.
+"""Find and end processes that a worker started and left.
 
-The kernel hands an orphan to the nearest ancestor that asked for it (PR_SET_CHILD_SUBREAPER,
-prctl(2)), however often it forked and whatever session it made for itself. A worker asks while it
-lives; what it leaves goes to the keeper (`keeper.py`), which has no other child but the template.
+The kernel hands an orphan to the nearest ancestor that requested it (PR_SET_CHILD_SUBREAPER,
+prctl(2)), through any number of forks and sessions. That is the worker while it lives, and then the
+keeper (`keeper.py`), which has no other child but the template.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def end_with_parent(parent: int) -> None:
 
 
 def has_children() -> bool:
-    """Whether this process has any child, dead ones that nobody waited for included."""
+    """Return whether this process has any child, zombies included."""
     flags = os.WEXITED | os.WNOHANG | os.WNOWAIT | _ALL_CHILDREN
     try:
         os.waitid(os.P_ALL, 0, flags)
@@ -47,7 +47,7 @@ def has_children() -> bool:
 
 
 def children_of(pid: int) -> list[int]:
-    """The children of a process of one thread; none where it is gone."""
+    """Return the children of a process of one thread; none where it is gone."""
     try:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
@@ -56,7 +56,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def _search_children(pid: int) -> list[int]:
-    """As `children_of`, on a kernel that does not list them."""
+    """Return the children of a process on a kernel that does not list them."""
     import psutil  # the keeper does without it
 
     try:
@@ -73,16 +73,13 @@ def signal_process(pid: int, number: signal.Signals) -> None:
 
 
 def end_below(keeper: int) -> None:
-    """End the template of a keeper, which ends all that is left below it, and then itself."""
+    """End the template of a keeper, which ends all below it, and then itself."""
     for child in children_of(keeper) if keeper else []:
         signal_process(child, signal.SIGKILL)
 
 
 def end_orphans(keeper: int, template: int) -> None:
-    """End what ended workers left to the keeper; nothing where either of the two is gone.
-
-    A keeper whose template ended ends all by itself.
-    """
+    """End orphans of the keeper; nothing where it or the template is gone."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
         children = children_of(keeper) if keeper else []

@@ -1,7 +1,7 @@
-"""What runs in a process of one configuration: one solver, pinned to one core, with its library.
+"""Targets of the processes of one configuration: one solver, pinned to one core.
 
-Every function here is the target of a process forked from a template that has no solver loaded
-(`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
+Each runs in a process forked from a template without solvers (`child.py`), leaves its raw log and a
+small JSON verdict, and never prints.
 """
 
 from __future__ import annotations
@@ -75,17 +75,17 @@ def pin(core: int) -> None:
 
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
-    """Leave at `path` what became of a cell, for the supervisor to read."""
+    """Write the outcome of a cell for the supervisor."""
     write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
+    """A cell of a batch: its run_id and JSON, own run time, the file behind its QPs.
 
-    outcome : what became of it, once it ran; library, machine_id, concurrency : for its row.
+    outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.
-    module : where the plug-in of its solver lies on this machine; "" for none.
+    module : path of its plug-in on this machine; "" for none.
     """
 
     name: str
@@ -101,11 +101,11 @@ class BatchCell:
 
 
 def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
-    """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
-    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer with
-    a backup.
+    """Return round and step in which the killed process of a cell hung, by its log.
 
-    The log counts as not started again, so that the next process has time to open its library.
+    None where it cannot go on behind it: it hung too often, outside of its steps, or on a slow
+    computer with a backup. The log counts as not started again, so that the next process has time
+    to open its library.
     """
     # The latencies of a backup are not repeated, and it may steer otherwise with others.
     if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
@@ -123,8 +123,7 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
 
 
 def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
-    """Round and step that a log waits for, none of the `known` ones in a replay; None if it is
-    full."""
+    """Return the first unfinished round and step of a log, none of the `known` steps."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -140,7 +139,7 @@ def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
 
 
 def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
-    """Settle the process and open the cell's solver in it; InputError where that is refused."""
+    """Settle the process and open the cell's solver; InputError where that is refused."""
     if settled:
         begin_output()
         forget_peak()
@@ -164,7 +163,7 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
 
 
 def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
-    """As `_opened`; None leaves a verdict `refused`."""
+    """Open the cell's solver; write a verdict `refused` and return None where that fails."""
     try:
         return _opened(cell, settled=settled)
     except InputError as error:
@@ -174,7 +173,7 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
 
 
 def _worst_detail(timed_solver: TimedSolver) -> str:
-    """The most frequent words of the library about its failures, with their count."""
+    """Return the library's most frequent words on its failures, with their count."""
     if not timed_solver.details:
         return ""
     words, count = max(timed_solver.details.items(), key=lambda item: item[1])
@@ -206,14 +205,14 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
 
 def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
-    """Makes the log of a cell at `raw`, or opens that of the process that hung before."""
+    """Return a function that makes the log of a cell, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
 def _steer(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
+    """Run a closed loop in the weather of the reference loop; return the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_at(raw, hung)
     try:
@@ -237,7 +236,7 @@ def _steer(
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Replay all rounds, whatever they take; the verdict."""
+    """Replay all rounds; return the verdict."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _replay_run(
@@ -255,7 +254,7 @@ def _in_round(log: RawLog) -> str:
 
 
 def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
-    """The verdict on a cell that ended by itself; `stopped` says how far its limit let it come."""
+    """Return the verdict on a cell that ended by itself, `stopped` where its limit ended it."""
     detail = _worst_detail(timed_solver)
     if stopped:
         stop = f"stopped after {cell.limit_s:g} s {stopped}"
@@ -268,8 +267,10 @@ def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stoppe
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear, and
-    where earlier processes of it hung."""
+    """A replay to serve: JSON of its cell, source of its QPs, folder and name of its files.
+
+    `hung` tells where earlier processes of it hung.
+    """
 
     cell: str
     source: Path
@@ -279,11 +280,11 @@ class ReplayOrder:
 
 
 def serve_replays(core: int, orders: Connection) -> None:
-    """Serve replays of one configuration in turn, each with a workspace and a log of its own.
+    """Serve replays of one configuration in turn, each with its own workspace and log.
 
-    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are
-    True when it is ready, whether each round was completed, and True when its verdict is left;
-    None and no more where the configuration is refused, no reply to None where the replay leaves
+    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are True
+    when it is ready, whether each round was completed, and True when its verdict is written; None
+    and no more where the configuration is refused, no reply to None where the replay leaves
     processes behind. None in place of a replay ends the service.
     """
     memory, anywhere, settled = MemoryWatch(), os.sched_getaffinity(0), False
@@ -305,7 +306,7 @@ def serve_replays(core: int, orders: Connection) -> None:
 def _serve_replay(
     order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
 ) -> bool:
-    """Serve the rounds of one replay and leave its verdict; False where it is refused."""
+    """Serve the rounds of one replay and write its verdict; False where it is refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
     workspace = _open(cell, folder, name, settled=settled)
     if workspace is None:
@@ -347,7 +348,7 @@ def _replay_run(
     memory: MemoryWatch | None = None,
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    """A replay ready for its rounds; from here on its solver is at work."""
+    """Prepare a replay for its rounds and begin the phase of its solver."""
     steps, timed_solver, log = replay_parts(
         sequence, workspace, cell.formulation, cell.rounds, _log_at(raw, hung)
     )
@@ -368,10 +369,10 @@ def _replay_run(
 
 
 def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
-    """Replay every sequence that is ordered through a new workspace of the cell's configuration.
+    """Replay every ordered sequence through a new workspace of the cell's configuration.
 
-    An order is a sequence and the seconds it may take, the reply whether it was completed; None
-    ends the service. The first word is True, or why the configuration cannot run.
+    An order is a sequence and its time limit [s], the reply whether it was completed; None ends the
+    service. The first reply is True, or the reason why the configuration cannot run.
     """
     cell = Cell.from_json(text)
     try:
@@ -393,8 +394,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz), unless a whole one is there; a verdict
-    appears in `folder`."""
+    """Make the file behind a cell's QPs at `path` (.npz) if need be; leave a verdict."""
     pin(core)
     settle()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
@@ -448,5 +448,5 @@ def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
 
 @lru_cache(maxsize=1)
 def _exact_loop(path: Path) -> ExactLoop:
-    """The course of one that many cells in a row are set beside, read once a process."""
+    """Return the reference loop, read once for many cells in a row."""
     return ExactLoop.load(path, with_optima=False)
