@@ -8,8 +8,6 @@ import pytest
 
 from dpbench import load_scenario, record_sequence
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.run.formulation import in_replay
@@ -56,17 +54,6 @@ def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results)
     seen, disturbed = steps["repeat"].max(), slow["disturbed_rounds"] + slow["rerun_rounds"]
     assert FEWEST_ROUNDS <= seen <= FEWEST_ROUNDS + disturbed
     assert (steps.groupby("repeat").size()[1:] == STEPS).all()
-
-
-def test_a_table_may_have_a_limit_of_its_own() -> None:
-    tables = [
-        ClosedLoopTable(scenarios=["paper"], steps=5, limit_s=1.5),
-        ClosedLoopTable(scenarios=["calm"], steps=5),
-    ]
-    suite = SuiteFile(
-        title="x", solvers=["daqp"], baseline_law=False, cell_limit_s=7.0, closed_loop=tables
-    )
-    assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
 
 
 def test_both_kernels_are_timed_around_every_round() -> None:

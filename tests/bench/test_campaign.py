@@ -12,7 +12,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.result_folder import Results, claimed
+from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
@@ -102,10 +102,8 @@ def test_settings_without_effect_run_once_and_show_under_both_names(results: Res
     assert pair["raw_max_ns"].nunique() == 1
 
 
-def test_times_are_there_and_add_up(results: Results) -> None:
+def test_loops_alone_have_times_of_emission(results: Results) -> None:
     steps = results.steps
-    phases = steps[["setup_ns", "update_ns", "solve_ns", "read_ns"]].fillna(0).sum(axis=1)
-    assert (steps["total_ns"] == phases).all()
     assert (steps["total_ns"] > 0).all()
     loops = steps["run_id"].isin(results.runs.loc[results.runs["mode"] == "closed_loop", "run_id"])
     assert steps.loc[loops, "emit_ns"].notna().all()
@@ -207,11 +205,6 @@ def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) 
         run_campaign("smoke", mine / "report.html" / "below")
     with pytest.raises(InputError, match="current folder"):
         run_campaign("smoke", "")
-
-
-def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    with claimed(tmp_path / "out", "smoke"), pytest.raises(InputError, match="in use"):
-        run_campaign("smoke", tmp_path / "out")
 
 
 def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -16,8 +14,6 @@ from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.plan.cells import NOT_STRICT
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.qp_source import RandomSource
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
@@ -78,6 +74,7 @@ def outcome(results: Results, n: int) -> str:
 
 def test_a_lie_is_a_row(results: Results) -> None:
     runs = results.runs
+    assert (runs["scenario"] == "").all() and (runs["mode"] == "replay").all()
     row = runs[(runs["solver"] == "faulty") & (runs["sequence"] == "no_rows-n4-m0-s1-steps6")]
     assert row["claimed_not_true"].tolist() == [STEPS]
     steps = results.steps[results.steps["run_id"] == row["run_id"].iloc[0]]
@@ -116,16 +113,6 @@ def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:
     }
 
 
-def test_random_rows_have_no_scenario_and_run_again_from_their_cell(results: Results) -> None:
-    runs = results.runs
-    assert (runs["scenario"] == "").all() and (runs["mode"] == "replay").all()
-    for text, sequence in zip(runs["cell"], runs["sequence"], strict=True):
-        cell = Cell.from_json(text)
-        assert cell.to_json() == text
-        assert cell.sequence == sequence
-        assert isinstance(cell.source, RandomSource) and cell.source.recipe.name == sequence
-
-
 def test_the_report_shows_who_lied(folder: Path) -> None:
     text = (folder / "report.md").read_text(encoding="utf-8")
     answer = text.splitlines()[2]
@@ -137,16 +124,6 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     html = (folder / "report.html").read_text(encoding="utf-8")
     answer = html.split('<section id="answer">')[1].split("</section>")[0]
     assert "faulty 18" in answer and '<section id="matrix">' not in html
-
-
-def test_a_finished_random_cell_is_not_run_again(
-    folder: Path, results: Results, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    solvers = ["quadprog", "daqp", "faulty"]
-    again = run_campaign(folder.parent / "tiny.toml", folder, solvers=solvers, solver_module=PLUGIN)
-    kept = results.runs["raw_max_ns"].to_numpy()
-    np.testing.assert_array_equal(load_results(again).runs["raw_max_ns"].to_numpy(), kept)
 
 
 def suite(**tables: object) -> SuiteFile:
@@ -182,15 +159,3 @@ def test_the_random_suite_has_all_families_and_sizes() -> None:
     cells = plan(shipped)
     keys = [planned.cell.to_json() for planned in cells]
     assert len(keys) == len(set(keys))
-
-
-def test_a_cell_of_a_scenario_says_nothing_of_a_source() -> None:
-    (planned, _) = plan(suite(replay=[ReplayTable(scenario="paper", steps=20)]))
-    assert "source" not in json.loads(planned.cell.to_json())
-
-
-def test_an_unknown_kind_of_source_is_refused() -> None:
-    (planned, _) = plan(suite(random=[RandomTable(families=["plain"], sizes=[[4, 6]])]))
-    text = planned.cell.to_json().replace('"kind": "random"', '"kind": "dice"')
-    with pytest.raises(InputError, match="dice"):
-        Cell.from_json(text)

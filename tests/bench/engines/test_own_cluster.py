@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from dpbench import load_results, run_campaign
+from dpbench.bench.progress import Silent
 
 WHY = "engine dask needs the extra `cluster`"
 pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
@@ -49,18 +50,12 @@ print(json.dumps(said))
 browser."""
 
 
-class Visited:
+class Visited(Silent):
     """A progress at whose first finished cell a stranger comes."""
 
     def __init__(self) -> None:
         self.listening: list[tuple[str, int]] = []
         self.answers: dict[str, tuple[int | str, int | str, str]] = {}
-
-    def start(self, work: int) -> None:
-        """Nothing."""
-
-    def remark(self, text: str) -> None:
-        """Nothing."""
 
     def advance(self, work: int, what: str) -> None:
         """Look at every socket of this process and its children, once; send the stranger."""

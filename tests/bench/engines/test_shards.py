@@ -182,12 +182,6 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
     assert "2 kinds of machines" in results.suite["remarks"][0]
 
 
-@pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])
-def test_what_is_no_shard_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="1/4, with i from 1 to n"):
-        Shard.of_text(text)
-
-
 @pytest.mark.parametrize(
     "entries",
     [
@@ -217,6 +211,6 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
-def test_what_is_no_part_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--shard: found"):
+def test_what_is_no_shard_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"--shard: found .*1/4, with i from 1 to n"):
         Shard.of_text(text)

@@ -16,7 +16,7 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_suite
 from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import scenario_of
 
@@ -125,16 +125,6 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
     row = replay(sequence, workspace, repeats=1, formulation="condensed_stacked").summary
     assert (row["n"], row["m"]) == (15, 60)
     assert pd.isna(row["N_p"]) and pd.isna(row["N_c"])
-
-
-@pytest.mark.slow
-def test_results_of_another_schema_are_refused_in_one_line(tmp_path: Path) -> None:
-    out = run(_written(tmp_path, '["6/2"]'), tmp_path / "out")
-    older = pd.read_parquet(out / "runs.parquet").drop(columns=["N_p", "N_c", "n", "m"])
-    older["schema"] = 1
-    older.to_parquet(out / "runs.parquet")
-    with pytest.raises(ResultsError, match=r"runs\.parquet: schema: found schema \[1\]"):
-        load_results(out)
 
 
 @pytest.mark.parametrize(

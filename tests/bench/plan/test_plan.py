@@ -34,12 +34,6 @@ def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
     assert planned.alias_settings == ("high",)
 
 
-def test_the_standard_suite_has_no_cell_twice() -> None:
-    _, suite = load_suite("standard")
-    cells = [planned.cell.to_json() for planned in plan(suite)]
-    assert len(cells) == len(set(cells))
-
-
 def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
     _, suite = load_suite("standard")
     places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}

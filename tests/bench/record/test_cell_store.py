@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,7 +32,6 @@ from dpbench.bench.record.step_table import (
     stored_steps,
 )
 from dpbench.bench.tabulate import tabulate
-from dpbench.errors import InputError
 
 
 def steps_of(seed: int, count: int = 7) -> StepColumns:
@@ -304,29 +302,6 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
     assert store.remarks == []
     assert [path.name for path in tmp_path.rglob("*.part")] and CellStore(tmp_path).remarks == []
     assert not list(tmp_path.rglob("*.part"))
-
-
-@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
-def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
-    mine, out = tmp_path / "thesis.txt", tmp_path / "out"
-    mine.write_text("mine", encoding="utf-8")
-    (out / "cells").mkdir(parents=True)
-    name = f"part-00001-{zlib.crc32(part('a').data):08x}.parquet"
-    store = CellStore(out)
-    for taken in (name, f"{name}.part"):
-        link(mine, out / "cells" / taken)
-    store.add(part("a"))
-    assert mine.read_text("utf-8") == "mine" and mine.stat().st_nlink == 1
-    assert names_in(store) == ["a"]
-
-
-def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "part-00001-0.part").touch()
-    (tmp_path / "cells").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="cells: found a link"):
-        CellStore(tmp_path)
-    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["part-00001-0.part"]
 
 
 def test_tables_are_on_the_disk_before_the_parts_go(

@@ -41,6 +41,7 @@ def copy(made: Path, tmp_path: Path) -> Path:
         ("replay_s", 0.0, "replay_s[0]: found 0.0"),
         ("N_p", None, "N_p[0]: found nothing; allowed: a horizon"),
         ("study", "seas", "study_point[0]: found nothing"),
+        ("schema", 1, "schema: found schema [1]"),
     ],
 )
 def test_a_row_that_no_campaign_writes_is_refused(

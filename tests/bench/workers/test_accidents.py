@@ -18,6 +18,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
 from dpbench.bench.engines.dispatcher import Dispatcher
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.finished_batch import BatchPart
@@ -160,16 +161,6 @@ def test_without_room_anywhere_cells_are_lost_until_there_is(
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_fresh_results_that_were_lost_do_not_leave_the_old_ones(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = run_campaign(suite, tmp_path / "out")
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: SHORT)
-    run_campaign(suite, out, fresh=True)
-    results = load_results(out)
-    assert set(results.runs["outcome"]) == {"lost"} and results.steps.empty
-
-
 def test_columns_of_an_earlier_time_do_not_stay_with_a_crash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -280,17 +271,11 @@ def test_a_disk_that_fills_meanwhile_loses_cells_and_blames_nobody(
     assert outcomes(out) == ["finished"] * 3
 
 
-class _Remover:
+class _Remover(Silent):
     """A person who tidies up in the midst of a replay."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
-
-    def start(self, work: int) -> None:
-        """Nothing yet."""
-
-    def remark(self, text: str) -> None:
-        """Nothing to say."""
 
     def advance(self, work: int, what: str) -> None:
         if what == "replay paper, round 0":

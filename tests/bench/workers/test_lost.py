@@ -101,7 +101,8 @@ def test_rows_of_further_names_are_lost_with_their_cell(
     assert len(runs) == 3 and set(runs["outcome"]) == {"finished"}
     monkeypatch.setattr(scratch, "free_bytes", lambda place: 1000)
     run_campaign(suite, out, fresh=True)
-    assert load_results(out).runs["outcome"].tolist() == ["lost"] * 3
+    results = load_results(out)
+    assert results.runs["outcome"].tolist() == ["lost"] * 3 and results.steps.empty
 
 
 def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str, Any]]:

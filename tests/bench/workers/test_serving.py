@@ -6,19 +6,15 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, SimpleNamespace
-from typing import cast
+from types import FrameType
 
 import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup, ReplayWorker
 from dpbench.solvers import plugins
 from tests.bench.deterministic import deterministic
 from tests.processes import is_running
@@ -138,20 +134,12 @@ def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> Non
     assert results.runs["peak_rss_bytes"].max() < results.runs["peak_rss_bytes"].min() + 2**23
 
 
-@pytest.mark.parametrize(
-    ("way", "outcome"),
-    [
-        ("exit", "crashed"),
-        ("abort", "crashed"),
-    ],
-)
+@pytest.mark.parametrize("way", ["exit", "abort"])
 @pytest.mark.parametrize("place", [1, 2, 3])
-def test_an_end_in_one_sequence_costs_no_other(
-    place: int, way: str, outcome: str, suite: Path
-) -> None:
+def test_an_end_in_one_sequence_costs_no_other(place: int, way: str, suite: Path) -> None:
     results = run(suite, f"{place} {way}")
     wanted = ["finished"] * len(SEQUENCES)
-    wanted[place - 1] = outcome
+    wanted[place - 1] = "crashed"
     assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
     served = pids(suite)
     assert len(set(served[:place])) == 1
@@ -227,22 +215,12 @@ def test_answers_do_not_depend_on_what_a_process_served_before(suite: Path, tmp_
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-class _Interrupts(Progress):
+class _Interrupts(Silent):
     """A person who presses Ctrl-C in the midst of the second sequence."""
 
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def start(self, work: int) -> None:
-        """Nothing yet."""
-
     def advance(self, work: int, what: str) -> None:
-        self.said.append(what)
         if what.startswith("replay calm, round 1"):
             raise KeyboardInterrupt
-
-    def remark(self, text: str) -> None:
-        """Nothing to say."""
 
 
 def test_ctrl_c_leaves_no_process(suite: Path) -> None:
@@ -256,26 +234,3 @@ def test_ctrl_c_leaves_no_process(suite: Path) -> None:
     served = pids(suite)
     assert len(served) == 2
     assert not any(map(is_running, served))
-
-
-class _Stopped:
-    """A child whose time limit stopped the round; it waits for orders, so it has no outcome yet."""
-
-    def order(self, order: object) -> None:
-        """Nothing."""
-
-    def reply(self, limit_s: float) -> object:
-        """The round was not completed."""
-        return False
-
-    def outcome(self) -> Outcome:
-        """Would wait for an end that nobody asked for."""
-        raise AssertionError("asked for the outcome of a process that lives")
-
-
-def test_a_worker_stopped_by_its_limit_is_not_waited_for(tmp_path: Path) -> None:
-    cell = cast("Cell", SimpleNamespace(limit_s=1.0))
-    worker = ReplayWorker("a", cell, cast("ServingChild", _Stopped()))
-    group = ReplayGroup(cast("IdleWorkers", None), tmp_path, tmp_path, [])
-    group.serve(worker, 1)
-    assert not worker.serving

@@ -99,22 +99,6 @@ def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
     assert ended(context, tmp_path, SOLVER + "signal.raise_signal(signal.SIGBUS)")[0] == outcome
 
 
-@pytest.mark.parametrize(
-    ("counts", "outcome"), [((7, 7), "crashed"), ((7, 8), "lost"), ((None, None), "lost")]
-)
-def test_the_out_of_memory_killer_is_no_solver(
-    counts: tuple[int | None, ...],
-    outcome: str,
-    context: ForkServerContext,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    found = iter(counts)
-    monkeypatch.setattr(supervise, "_memory_kills", lambda: next(found))
-    code = SOLVER + "os.kill(os.getpid(), signal.SIGKILL)"
-    assert ended(context, tmp_path, code)[0] == outcome
-
-
 def test_a_scratch_folder_that_went_away_is_lost(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
