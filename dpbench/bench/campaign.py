@@ -56,7 +56,6 @@ class Campaign:
     Parameters
     ----------
     machine : the one that cells run on, as `describe_machine` describes it.
-    shard : which part of the plan, and of how many.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class Campaign:
         self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
     def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
-        """Take designs of a machine along."""
+        """Take over the designs of a machine."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
@@ -96,7 +95,7 @@ class Campaign:
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
-        """Run what is not finished yet and write the tables."""
+        """Run unfinished cells and write the tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = self.pending()
         work = sum(work_of(job.cell) for job in pending) + self.designs.work
@@ -114,7 +113,7 @@ class Campaign:
         self.write(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def pending(self) -> list[CellJob]:
-        """What is not finished; the outcome of all else is known."""
+        """Return unfinished cells, and set the outcome of all others."""
         pending = []
         for job in self.work:
             if job.planned.refused:
@@ -126,7 +125,7 @@ class Campaign:
         return pending
 
     def _keep(self, job: CellJob, result: Result) -> None:
-        """Keep what became of a cell; where there is no room for it, it is lost."""
+        """Store the result of a cell, which is lost where there is no room for it."""
         job.outcome = result.outcome
         if result.part is None:
             return
@@ -136,7 +135,7 @@ class Campaign:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
     def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
-        """Make the files that hold capability plots; a cell whose file fails says so itself."""
+        """Make the files that hold capability plots; failures appear in their cells."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
         cells = {self.sources.path(key): longest(self._at_boundary[key]) for key in wanted}
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
@@ -144,7 +143,7 @@ class Campaign:
             pass
 
     def _is_written(self) -> bool:
-        """Whether the folder says already what this campaign would write."""
+        """Return whether the folder has all that this campaign would write."""
         try:
             found = load_descriptions(self._out)[1]
         except ResultsError:
@@ -156,13 +155,13 @@ class Campaign:
         return same and is_tabulated(self.work, self.store)
 
     def _document(self) -> dict[str, Any]:
-        """What is asked of the campaign, as in `suite.json`."""
+        """Return the request as in `suite.json`."""
         document = self._plan.document.model_dump()
         asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
         return asked if self._shard == WHOLE else asked | {"shard": str(self._shard)}
 
     def _earlier_revisions(self) -> list[Revision]:
-        """Those of the cells that an interrupted campaign left in the folder."""
+        """Return those of cells that an interrupted campaign left."""
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
@@ -175,11 +174,9 @@ class Campaign:
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write the tables of what is finished, and what is to be said of them.
+        """Write the tables of finished cells, and the remarks.
 
-        Parameters
-        ----------
-        made_by : the revisions of dpbench that cells were run with, if not with this one.
+        `made_by` are the revisions of dpbench that ran the cells, if not this one.
         """
         self.designs.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
@@ -196,7 +193,7 @@ class Campaign:
         self._write_capability()
 
     def _write_capability(self) -> None:
-        """The capability plots, out of the files that the QPs at their edge come from."""
+        """Write the capability plots of the files behind their QPs."""
         tables = [capability_in(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
@@ -206,11 +203,7 @@ class Campaign:
 
 
 def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
-    """What of `suite.json` is about the harness's own accidents.
-
-    `lost_cells` counts rows, `lost_designs` designs; `remarks` are lines for whoever gave the
-    command.
-    """
+    """Return the entries of `suite.json` on the harness's own accidents."""
     causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
     lines = [
         _lost_line(causes, f"{len(runs)} cells", ", not by their solvers"),
@@ -224,7 +217,7 @@ def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str])
 
 
 def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
-    """How many of what was lost, and why; "" where nothing was."""
+    """Return a line with the number and causes of lost cells; "" without any."""
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
@@ -236,8 +229,7 @@ def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
 
 
 def designs_of(plan: Plan) -> list[Design]:
-    """The designs of a whole suite; a part of it is about its solvers and runs, on which none
-    depends."""
+    """Return the designs of a whole suite; a part of it has none."""
     table = None if plan.part else plan.document.design
     with naming(plan.path):
         return plan_designs(table, plan.path.parent) if table else []
@@ -273,28 +265,28 @@ def run_campaign(
     Parameters
     ----------
     suite : a name under `problems/suites/` or a TOML path; None with `sequence`.
-    out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, and
-        `-part` behind it with a choice of any kind, so that a part never replaces the whole.
+    out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, with `-part`
+        for any choice, so that a part never replaces the whole.
     solvers, scenarios, settings : only these; scenarios that the suite does not name, by name or
-        TOML file, take the place of its own.
+        TOML file, replace its own.
     steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
-    engine : who runs the cells: "local", the processes of this machine, or "dask", the workers of a
-        Dask cluster; without a `scheduler` so many as `jobs` on this machine.
+    engine : "local", the processes of this machine, or "dask", the workers of a Dask cluster;
+        without a `scheduler` so many as `jobs` on this machine.
     scheduler : the address of a Dask scheduler.
     tls : of a scheduler at tls://HOST:8786 the files of its certificate authority, of a client's
         certificate and of its key; those of Dask's configuration by default.
     shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
-    fresh : run every cell again, also those finished before.
+    fresh : run every cell again, also finished ones.
     wait_s : the longest wait for another campaign that times replays on this machine; None without
         a limit, 0 for none.
-    may_leave_out : whether finished runs of the folder may go from its tables, where they are not
-        asked for.
+    may_leave_out : whether finished runs may leave the tables of the folder, where they are not
+        requested.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
-    progress : told how far the campaign is.
+    progress : receives the progress of the campaign.
 
     Returns
     -------
@@ -303,7 +295,7 @@ def run_campaign(
     Raises
     ------
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
-        runs that are not asked for, before anything runs.
+        runs that are not requested, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
     asked = RunRequest(

@@ -1,4 +1,4 @@
-"""What a campaign will take: by the runs of its last result folder, or by stated rates.
+"""Estimates of the time of a campaign: by the runs of its last result folder, or stated rates.
 
     time = Σ over cells (CELL_S + (step of its kind + JUDGE_STEP_S) · steps) / slots
 
@@ -36,12 +36,9 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """What the steps and rows of a campaign take.
+    """Rates of steps and rows of a campaign.
 
-    Parameters
-    ----------
-    steps_s : of kinds that were run before, a step [s]; `STEP_S` of all others.
-    origin : where these numbers come from.
+    `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
     """
 
     origin: str
@@ -50,7 +47,7 @@ class Rates:
     run_bytes: float = RUN_BYTES
 
     def seconds_of(self, cell: Cell) -> float:
-        """Return what a cell takes."""
+        """Return the time of a cell."""
         step_s = self.steps_s.get(_kind(cell), STEP_S - JUDGE_STEP_S)
         return CELL_S + (step_s + JUDGE_STEP_S) * recorded_steps(cell)
 
@@ -60,16 +57,16 @@ STATED = Rates("stated rates of another machine; those of this one need a run in
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a campaign will take.
+    """Estimate of a campaign.
 
     Parameters
     ----------
-    cells, refused : how many run, and how many are rows without running.
-    unmeasured : how many run whose time and size are in none of these figures.
-    steps : that are recorded, of all rounds.
+    cells, refused : cells that run, and rows without running.
+    unmeasured : cells whose time and size are in none of these figures.
+    steps : recorded steps, of all rounds.
     time_s : on so many slots, without the report; size_bytes : of its tables.
     slots : closed loops at a time.
-    rates : where the rates come from.
+    rates : origin of the rates.
     """
 
     cells: int
@@ -83,7 +80,7 @@ class Estimate:
 
     @property
     def lines(self) -> list[str]:
-        """What to print of it."""
+        """Lines to print."""
         refused = f" and {_count(self.refused)} refused" if self.refused else ""
         apart = f"; {_count(self.unmeasured)} more of capability plots" if self.unmeasured else ""
         return [
@@ -99,7 +96,7 @@ def _count(number: int) -> str:
 
 
 def _duration(seconds: float) -> str:
-    """In the unit that leaves two digits or three."""
+    """Return a text in the unit that leaves two or three digits."""
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -107,7 +104,7 @@ def _duration(seconds: float) -> str:
 
 
 def recorded_steps(cell: Cell) -> int:
-    """Steps that a cell leaves in the tables when it comes to its end."""
+    """Return the steps that a cell leaves in the tables."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
@@ -116,11 +113,9 @@ def _kind(cell: Cell) -> Kind:
 
 
 def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Say what cells take at these rates; nothing is known of capability plots.
+    """Estimate cells at these rates, without capability plots.
 
-    Parameters
-    ----------
-    slots : closed loops at a time; replays along a loop run one after the other.
+    `slots` are closed loops at a time; replays along a loop run one after the other.
     """
     to_run = [p for p in planned if not p.refused]
     measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
@@ -169,7 +164,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Say what `run_campaign` would take on this machine, of which `asked` are other arguments.
+    """Estimate `run_campaign` on this machine; `asked` are other arguments of it.
 
     Raises
     ------

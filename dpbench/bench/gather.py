@@ -1,7 +1,7 @@
-"""Put the shards of a suite together that were run apart, on one machine or on several.
+"""Join the shards of a suite that were run apart, on one machine or on several.
 
-What is finished in their folders is copied into one, as if it had been run there; whatever of it
-is missing or damaged is a lost cell, which `dpbench run` into that folder runs.
+Finished cells are copied into one folder, as if they had been run there; missing and damaged ones
+are lost cells, which `dpbench run` into that folder runs.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def gather(
 
     Parameters
     ----------
-    folders : one of each shard; suite : where the suite lies now, if it lay elsewhere.
-    solver_module : the plug-in that they were run with. None is run because a shard names it.
+    folders : one of each shard; suite : path of the suite, if it was elsewhere.
+    solver_module : their plug-in. None is run because a shard names it.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def gather(
     Raises
     ------
     InputError : for folders of different suites, plans or versions, one that is in use, a suite
-        that has changed since, shards of a plug-in without `solver_module`, or a finished result
-        in `out` that has other cells.
+        that has changed since, shards of a plug-in without `solver_module`, or a finished result in
+        `out` that has other cells.
     """
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
@@ -96,7 +96,7 @@ def _plan_of(
     suite: str | Path | None,
     solver_module: str | Path | None,
 ) -> Plan:
-    """The plan that all shards are of; InputError where there is none."""
+    """Return the plan of all shards; InputError where there is none."""
     where, first = next(iter(shards.items()))
     for folder, shard in shards.items():
         if shard.harness_version != HARNESS_VERSION:
@@ -124,7 +124,7 @@ def _plan_of(
 
 
 def _missing(shards: Sequence[ShardRecord]) -> list[str]:
-    """A line on the shards that are not there."""
+    """Return a line on missing shards."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
         found = " and ".join(f"shards of {count}" for count in sorted(counts))
@@ -135,7 +135,7 @@ def _missing(shards: Sequence[ShardRecord]) -> list[str]:
 
 
 def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
-    """The rows of all finished cells, once they are copied into `out`; remarks on the folders."""
+    """Return the rows of all finished cells, copied into `out`, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
             stack.enter_context(claimed(folder, name))
@@ -149,12 +149,12 @@ def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFr
 
 
 def _is_beside(path: Path) -> bool:
-    """Whether it is shown too: a design, or a capability plot with its QPs; no link to others."""
+    """Return whether a file is a design or a capability plot, and no link."""
     return _BESIDE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
 def _refuse_versions(rows: pd.DataFrame) -> None:
-    """InputError for a solver of several versions or builds."""
+    """Raise InputError for a solver of several versions or builds."""
     versions = rows["solver_version"].str.cat(rows["build"], " ").str.strip()
     for solver, alike in versions.groupby(rows["solver"]):
         if alike.nunique() > 1:
@@ -165,7 +165,7 @@ def _refuse_versions(rows: pd.DataFrame) -> None:
 def _machines(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
 ) -> tuple[MachineDescription, list[MachineDescription]]:
-    """The machine of most timed replays, or else of most cells; and the others."""
+    """Return the machine of most timed replays, or else of most cells; and the others."""
     known = {shard.machine["id"]: shard.machine for shard in shards}
     timed = finished.loc[finished["concurrency"].notna(), "machine_id"]
     counts = Counter(timed if len(timed) else finished["machine_id"])
@@ -176,7 +176,7 @@ def _machines(
 
 
 def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
-    """What a shard says of cells that it could not finish, by their descriptions."""
+    """Yield the descriptions and outcomes of cells that a shard could not finish."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
@@ -193,7 +193,7 @@ def _as_found(
     said: Mapping[str, Outcome],
     machine_id: str,
 ) -> None:
-    """Give jobs the names that their rows have, by the library and the machine that ran them."""
+    """Give jobs the names of their rows, by the library and machine that ran them."""
     # Of a cell that ran on several machines, that on the machine of the folder.
     there = finished.iloc[(finished["machine_id"] == machine_id).argsort(kind="stable")]
     by_cell = dict(zip(there["cell"], there.index, strict=True))

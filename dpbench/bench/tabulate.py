@@ -35,7 +35,7 @@ from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The rows that a campaign is asked for, in their order.
+    """The requested rows of a campaign, in order.
 
     A cell whose settings have no effect has rows under each of its names.
     """
@@ -52,7 +52,7 @@ class RequestedRuns:
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """One row each: of those that are `finished`, or of what became of the others."""
+        """Return one row each: a finished one, or the outcome of an unfinished one."""
         own = finished[finished.index.isin(self.jobs)]
         aliases = self.aliases(finished)
         others = [
@@ -67,7 +67,7 @@ class RequestedRuns:
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _renamed(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """The rows of cells under further names of their settings."""
+        """Return the rows of cells under further names of their settings."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
@@ -77,7 +77,7 @@ class RequestedRuns:
         )
 
     def _row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
-        """The row of a cell that is not finished."""
+        """Return the row of an unfinished cell."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
@@ -85,7 +85,7 @@ class RequestedRuns:
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Of the rows that have to be made, what they are made of, by new run_id."""
+        """Return the finished runs behind rows that are to be made, by new run_id."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()
@@ -101,11 +101,9 @@ _SELECTED = (
 
 
 def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
-    """InputError where the tables of `out` have finished runs that none of `cells` is.
+    """Raise InputError where `out` has finished runs other than `cells`.
 
-    Parameters
-    ----------
-    remedy : what to do then.
+    `remedy` is the advice in the error.
     """
     asked = {
         (*_selected(planned.cell), settings)
@@ -125,7 +123,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
 
 
 def _selected(cell: Cell) -> tuple[object, ...]:
-    """What `_SELECTED` is of a cell, less its settings."""
+    """Return the values of `_SELECTED` of a cell, less its settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
@@ -133,20 +131,20 @@ def _selected(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Whether the public tables are those that `tabulate` would make of what is there."""
+    """Return whether the public tables are those that `tabulate` would make."""
     wanted = list(RequestedRuns(work).jobs)
     in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
     return wanted == store.public.names() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Make the public tables of a campaign; cells that it is not asked for stay in parts.
+    """Make the public tables of a campaign; cells that were not requested stay in parts.
 
     Memory is that of two row groups, and of the rows of the runs.
 
     Returns
     -------
-    The rows of `runs.parquet`, and how many `steps.parquet` has.
+    The rows of `runs.parquet`, and the number of those of `steps.parquet`.
     """
     wanted, old = RequestedRuns(work), list(store.parts)
     stored, sources = store.collect()
@@ -175,8 +173,10 @@ def _sort(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of the `wanted` runs and of their aliases, and keep all others in parts;
-    return the names of those that could be read."""
+    """Write the steps of `wanted` runs and their aliases, and keep all others in parts.
+
+    Returns the names of those that could be read.
+    """
     read: set[str] = set()
     for group in store.groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}

@@ -55,12 +55,12 @@ class Footer:
 
     @property
     def rows(self) -> int:
-        """How many rows the file has."""
+        """Number of rows of the file."""
         return int(self.fields[_NUM_ROWS].value)
 
     @property
     def groups(self) -> list[tuple[int, Struct, int]]:
-        """Of each row group where its description begins, its fields, and where it ends."""
+        """Where the description of each row group begins, its fields, and where it ends."""
         groups: list[tuple[int, Struct, int]] = self.fields[_GROUPS].value
         return groups
 
@@ -154,7 +154,7 @@ def _struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
 
 
 def _structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
-    """As `_struct`, of a list of them, each with where it begins and ends."""
+    """Find the structs of a list, each with where it begins and ends."""
     size, kind, at = _items(data, at)
     if size and kind != _STRUCT:
         raise ValueError("a footer with a list of other things")

@@ -63,7 +63,7 @@ def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterato
 
 
 def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
-    """Bytes of all values in memory, each word once, with as many columns of words."""
+    """Return the bytes of all values in memory, each word once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
@@ -81,7 +81,7 @@ def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError
 
 
 def _bytes_of(column: pa.ChunkedArray) -> int:
-    """Bytes of the words of a column, each as often as it occurs."""
+    """Return the bytes of the words of a column, each as often as it occurs."""
     total = 0
     for chunk in column.chunks:
         lengths = pc.binary_length(chunk.dictionary).fill_null(0).to_numpy()

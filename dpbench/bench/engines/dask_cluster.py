@@ -54,11 +54,10 @@ LOOPBACK = "127.0.0.1"
 
 
 class _WithoutHttp:
-    """A node of Dask whose pages nobody asked for: they have no TLS, and no option leaves them
-    out."""
+    """A node of Dask without its HTTP pages, which have no TLS and no option to turn off."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
-        """Listen nowhere."""
+        """Start nothing."""
 
 
 class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here
@@ -69,18 +68,18 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
     """A worker of a cluster of this machine."""
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
-        """Dask would wait for its task for some seconds, then kill it with what lies around it."""
+        """End the task first: Dask would wait for it, then kill it with its surroundings."""
         end_tasks()
         return await super().close(*args, **kwargs)
 
 
 @contextmanager
 def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """A client of the scheduler at an address; InputError where none answers, or refuses it.
+    """Connect a client to a scheduler; InputError where none answers, or refuses it.
 
     Parameters
     ----------
-    tls : what Dask's configuration tells, where they are not given.
+    tls : by default as in Dask's configuration.
     """
     with _quiet():
         security = Security() if tls is None else _security(address, tls)
@@ -105,8 +104,7 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
 
 
 def _check_reachable(address: str) -> None:
-    """OSError or ValueError where nobody listens, which a client finds out only after long
-    tries."""
+    """Raise OSError or ValueError where nobody listens, which a client finds out late."""
     scheme, place = parse_address(address)
     get_backend(scheme)
     with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
@@ -114,14 +112,14 @@ def _check_reachable(address: str) -> None:
 
 
 async def _greet(address: str, security: Security) -> None:
-    """Come and go; a client that is refused leaves threads behind."""
+    """Connect once, as a refused client leaves threads behind."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
     await comm.close()
 
 
 def _security(address: str, tls: TlsFiles) -> Security:
-    """What a client shows to a scheduler; InputError where the files are not what they should."""
+    """Return the TLS set-up of a client; InputError for wrong files."""
     if not address.startswith("tls://"):
         found = f"files with {WHERE} {address}"
         raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, where the scheduler has TLS")
@@ -146,9 +144,7 @@ def _security(address: str, tls: TlsFiles) -> Security:
 
 @contextmanager
 def own_cluster(workers: int) -> Iterator[Client]:
-    """A client of so many workers on this machine, one of which times replays; the program that
-    started the campaign is hidden meanwhile, for a worker may have to be started again at any
-    time."""
+    """Start so many workers on this machine, one of which times replays."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
@@ -198,13 +194,13 @@ class Cluster:
 
     Parameters
     ----------
-    is_own : whether all workers are processes of this campaign, which nobody else joins.
+    is_own : whether all workers are processes of this campaign.
 
     Attributes
     ----------
     slots : tasks at a time; concurrency : the most of them on one machine so far.
     exclusive : whether a worker offered `EXCLUSIVE` when the campaign began.
-    machine : that of the one that times replays; kinds : how many kinds of machines there were.
+    machine : that of the one that times replays; kinds : number of kinds of machines.
     addresses : of the workers that may have a task.
 
     Raises
@@ -233,7 +229,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Take workers in that came, and out that went; return a remark on each that is refused.
+        """Update the workers; return a remark on each refused one.
 
         Nothing changes where the scheduler does not answer, or has none.
         """
@@ -243,7 +239,7 @@ class Cluster:
             return []
 
     def is_connected_again(self) -> bool:
-        """Wait for the scheduler to come back with a worker; false if it does not."""
+        """Wait for the scheduler to return with a worker; false if it does not."""
         deadline = time.monotonic() + RETURN_S
         while time.monotonic() < deadline and self.client.status != "closed":
             with suppress(OSError):
@@ -253,7 +249,7 @@ class Cluster:
         return False
 
     def _look(self) -> list[InputError]:
-        """Look at the workers there are; return why some of those that came are refused."""
+        """Update the workers; return the reasons why new ones are refused."""
         if self.client.status != "running":
             return []
         workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
@@ -280,7 +276,7 @@ class Cluster:
 
 
 def _checked(address: str, answer: object) -> WorkerInfo:
-    """What a worker said of itself; InputError where it cannot run cells."""
+    """Return the information of a worker; InputError where it cannot run cells."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")
@@ -296,7 +292,7 @@ def _checked(address: str, answer: object) -> WorkerInfo:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask would log of lost workers and connections; a campaign says it in its own words."""
+    """Silence Dask on lost workers and connections, which a campaign reports itself."""
     loggers = [logging.getLogger("tornado.application"), logging.getLogger("distributed")]
     quiet: list[logging.Logger | logging.Handler] = [loggers[0], *loggers[1].handlers]
     levels = [one.level for one in quiet]

@@ -1,8 +1,8 @@
 """Cells and files on their way through an engine: order, sources, retries and counting.
 
-Closed loops run first, then timed replays, then problems without a deadline. A source, such as an
-exactly solved loop, takes as long as all of its cells together: it is made once, in a batch with
-others that are needed next, and is released after its last cell.
+Closed loops run first, then timed replays, then problems without a deadline. A source, such as a
+reference loop, takes as long as all of its cells together: it is made once, in a batch with others
+that are needed next, and is released after its last cell.
 """
 
 from __future__ import annotations
@@ -42,12 +42,7 @@ DIED = "every worker that it was given to died"
 
 
 class Dispatcher:
-    """Runs cells and makes files on an engine.
-
-    Parameters
-    ----------
-    sources : where the files behind QPs lie on the machine of the campaign.
-    """
+    """Runs cells and makes files on an engine."""
 
     def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
         self._engine, self._sources, self._progress = engine, sources, progress
@@ -61,7 +56,7 @@ class Dispatcher:
         self._retried = set[str]()
 
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
-        """Run cells; yield the result of each, once, when it is known."""
+        """Run cells; yield the result of each, once."""
         self._uses = Counter(job.source_key for job in jobs)
         for kind, alike in _by_kind(jobs):
             self._of_key = by_source(alike)
@@ -76,15 +71,14 @@ class Dispatcher:
     def make_files(
         self, target: Target, texts: Mapping[Path, str], *, limit_s: float | None = None
     ) -> Iterator[tuple[Path, Outcome]]:
-        """Make files from their descriptions, each in a process of its own that may take `limit_s`;
-        yield what became of each."""
+        """Make files in processes of their own, within `limit_s` each; yield outcomes."""
         self._ready.extend(FileBatch(target, {path: text}, limit_s) for path, text in texts.items())
         for _, results in self._completed():
             for result in results:
                 yield Path(result.run_id), result.outcome
 
     def _completed(self) -> Iterator[Completed]:
-        """Hand over all batches; yield each with the results of it that stand."""
+        """Hand over all batches; yield each with its final results."""
         while True:
             try:
                 self._request_sources()
@@ -101,7 +95,7 @@ class Dispatcher:
                 yield from self._give_up(str(error))
 
     def _request_sources(self) -> None:
-        """Ask for the sources of the batches that come next, as many as may exist at a time."""
+        """Request the sources of the next batches, as many as may exist at a time."""
         idle = not (self._ready or self._in_flight)
         if self._isolated and idle:
             batch = self._isolated.popleft()
@@ -129,7 +123,7 @@ class Dispatcher:
         return not (key in self._made or key in self._being_made or key in self._failed)
 
     def _source_batches(self, keys: Sequence[str]) -> Iterator[FileBatch]:
-        """Batches of the sources of these keys, each as long as the longest of its cells needs."""
+        """Yield batches of sources, each as long as its longest cell needs."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in in_groups(keys, seconds.__getitem__, size_s):
@@ -138,7 +132,7 @@ class Dispatcher:
             yield FileBatch(make_source, texts, are_sources=True)
 
     def _unblock(self) -> Iterator[Completed]:
-        """Have batches run whose sources are made; yield their cells whose sources failed."""
+        """Move batches with made sources to the queue; yield cells of failed ones."""
         blocked, self._blocked = self._blocked, []
         for batch in blocked:
             if not self._being_made.isdisjoint(batch.source_keys):
@@ -158,7 +152,7 @@ class Dispatcher:
             self._in_flight.add(self._ready.popleft())
 
     def _fits(self, batch: Batch) -> bool:
-        """Whether a batch may run beside those that the engine has."""
+        """Return whether a batch may run beside those that the engine has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))
@@ -176,8 +170,10 @@ class Dispatcher:
                 self._failed[key] = result.outcome
 
     def _take_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
-        """Yield the results of a batch but those of cells that were lost with their source: these
-        run once more, from a new one."""
+        """Yield the results of a batch, less cells lost with their source.
+
+        These run once more, from a new source.
+        """
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[result.run_id] for result in results if result.is_lost]
         again = {job.run_id: job for job in lost if self._is_damaged(job)}
@@ -193,14 +189,14 @@ class Dispatcher:
                 yield result
 
     def _is_damaged(self, job: CellJob) -> bool:
-        """Whether the source of a lost cell was damaged since it was made."""
+        """Return whether the source of a lost cell was damaged since it was made."""
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
         return key in self._remade or not self._engine.has_source(key, longest(self._of_key[key]))
 
     def _count(self, batch: CellBatch, job: CellJob) -> None:
-        """Show the work of a cell that has its result; release its source behind the last one."""
+        """Show the work of a finished cell; release its source behind the last one."""
         shown = min(batch.shown_work, work_of(job.cell))
         batch.shown_work -= shown
         self._progress.advance(work_of(job.cell) - shown, name_of(job.cell))
@@ -214,8 +210,7 @@ class Dispatcher:
             self._engine.release_source(key)
 
     def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
-        """Run once more, isolated, what took a process along, or was taken along; return the
-        results of what was isolated before."""
+        """Retry in isolation what has no result; return results of earlier retries."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
             return [Result(name, Outcome("lost", DIED)) for name in names]
@@ -223,8 +218,10 @@ class Dispatcher:
         return []
 
     def _hand_over_again(self) -> Iterator[Completed]:
-        """Have all run again that the engine dropped; a batch that it dropped `MOST_ATTEMPTS` times
-        may be the cause."""
+        """Queue all that the engine dropped.
+
+        A batch dropped `MOST_ATTEMPTS` times may be the cause.
+        """
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
         ready, self._ready = self._ready, deque()
@@ -242,7 +239,7 @@ class Dispatcher:
                 self._ready.append(batch)
 
     def _give_up(self, reason: str) -> Iterator[Completed]:
-        """All that has no result is lost."""
+        """Yield a lost result for all that has none."""
         cells = [*self._blocked, *self._waiting]
         batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
         for queue in (self._blocked, self._waiting, self._ready, self._isolated):
@@ -261,7 +258,7 @@ def longest(jobs: Sequence[CellJob]) -> Cell:
 
 
 def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Yield cells in the order they run: nothing runs beside what is timed."""
+    """Yield cells in the order they run: nothing runs beside timed ones."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
     yield "replays", [job for job in replays if job.cell.is_timed]
@@ -269,7 +266,7 @@ def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
 
 
 def _without_source(job: CellJob, outcome: Outcome) -> Result:
-    """Return the result of a cell whose QPs could not be made."""
+    """Return the result of a cell without QPs."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"
     return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

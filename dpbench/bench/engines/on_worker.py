@@ -1,8 +1,7 @@
-"""What a worker of a cluster does for a campaign that was started elsewhere.
+"""Tasks that a worker of a cluster runs for a campaign of another machine.
 
-Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files lie
-in a scratch folder of the worker's machine and are gone when a task ends. What comes and goes over
-the network are bytes. Nothing here needs Dask.
+Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files are in
+a scratch folder until a task ends. Arguments and results are bytes. Nothing here needs Dask.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from dpbench.temporary_folders import temporary_folder
 
 @dataclass(frozen=True)
 class WorkerInfo:
-    """What a campaign wants to know of a worker before it gives it cells.
+    """Properties of a worker that a campaign checks first.
 
-    may_start : whether it may start processes, as one that is a daemon itself may not.
+    `may_start` tells whether it may start processes, as a daemon may not.
     """
 
     harness_version: str
@@ -47,10 +46,9 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """What all tasks of a campaign have in common.
+    """Common data of all tasks of a campaign.
 
-    solvers : all that it runs.
-    modules : the text of plug-ins, by the paths in the cells.
+    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
 
     solvers: tuple[str, ...] = ()
@@ -67,7 +65,7 @@ class MadeFile:
 
 @cache
 def worker_info() -> WorkerInfo:
-    """What is to be known of this process."""
+    """Return the properties of this process."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 
@@ -83,7 +81,7 @@ _ENDING = threading.Lock()
 
 @contextmanager
 def _task() -> Iterator[None]:
-    """`end_tasks` may end the block."""
+    """Let `end_tasks` end the block."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -95,8 +93,7 @@ def _task() -> Iterator[None]:
 
 
 def end_tasks() -> None:
-    """End the tasks of this process, as Ctrl-C ends a campaign: what they wait for wakes them
-    within a tenth of a second, and their folders go with them."""
+    """End the tasks of this process, as Ctrl-C ends a campaign, within a tenth of a second."""
     with _ENDING:
         for thread in _TASKS:
             set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
@@ -125,12 +122,12 @@ def _made(path: Path, outcome: Outcome) -> MadeFile:
 
 
 def sent_file(made: MadeFile) -> MadeFile:
-    """Return a file that the campaign's machine had."""
+    """Return a file of the campaign's machine."""
     return made
 
 
 def results_of(made: Mapping[str, MadeFile | None]) -> list[Result]:
-    """Return what became of files, without their bytes; None of those that nobody came to."""
+    """Return the outcomes of files, without those that nobody came to."""
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
@@ -147,8 +144,8 @@ def run_cells(
 
     Parameters
     ----------
-    sources : what their QPs are made from, by key.
-    alone : whether they have all cores of this machine; one of them else.
+    sources : of their QPs, by key.
+    alone : whether they have all cores of this machine, or one.
     concurrency : of timed replays, see the column of that name.
     """
     results = [*_of_other_solvers(batch.jobs)]
@@ -175,7 +172,7 @@ def _completed(
 
 
 def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Lose the jobs whose solver is another one here than where the campaign was planned."""
+    """Yield lost results of jobs with another solver version than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
@@ -194,7 +191,7 @@ def _identity(solver: str) -> str:
 
 @cache
 def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Looking after kernels that were not compiled takes longer than a short cell."""
+    """Return the context, once: the check for compiled kernels takes longer than a short cell."""
     return template_context(solvers)
 
 
@@ -202,7 +199,7 @@ def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
 def _executor(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
-    """Open an executor with one slot on these cores, and a folder for the files it runs from."""
+    """Open an executor with one slot on these cores, and a folder for its files."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}

@@ -1,4 +1,4 @@
-"""Parts of a plan that can be run apart, by whatever starts commands on several machines."""
+"""Parts of a plan that run apart, on several machines."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Shard:
 
     @classmethod
     def of_text(cls, text: str | None) -> Shard:
-        """Of "i/n"; the whole for None. InputError for what is no part."""
+        """Return the part of a text "i/n", the whole for None; InputError for what is no part."""
         if text is None:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
@@ -59,10 +59,10 @@ class Shard:
         return cls(*map(int, parts.groups()))
 
     def of_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
-        """The jobs of this part, in their order: the same wherever it is asked for.
+        """Return the jobs of this part, in order: the same wherever it is called.
 
         Parts are of about the same work. Each makes the sources of its own cells, so that cells of
-        one source stay together as far as that allows; replays of one sequence always do, which are
+        one source stay together as far as possible; replays of one sequence always do, as they are
         timed by turns.
         """
         if self == WHOLE:
@@ -89,13 +89,11 @@ WHOLE = Shard(1, 1)
 
 
 def _work(job: CellJob) -> int:
-    """What it takes where it can run: who divides it knows not what the others have installed."""
     return work_of(job.cell)
 
 
 def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Jobs of one source in the smallest groups that stay together: replays of one sequence, and
-    batches of one configuration."""
+    """Return jobs of one source in the smallest groups that stay together."""
     units = interleaved([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
@@ -108,12 +106,7 @@ def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """What a folder says of the shard in it.
-
-    Parameters
-    ----------
-    digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
-    """
+    """Description of the shard in a folder; `digest` is that of the whole plan."""
 
     asked: RunRequest
     shard: Shard
@@ -128,7 +121,7 @@ class ShardRecord:
 
     @classmethod
     def read(cls, folder: Path) -> ShardRecord:
-        """That of a folder; InputError where it has none, or a damaged one."""
+        """Return that of a folder; InputError where there is none, or a damaged one."""
         path = folder / SHARD_FILE
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"

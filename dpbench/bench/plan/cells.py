@@ -1,4 +1,4 @@
-"""Planned cells, and those of QPs that no controller made: recorded, random, of a capability."""
+"""Planned cells, and those of QPs without a controller: recorded, random, of a capability."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ def cell_of(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
-    """The cell of one configuration of a table, or why it is refused.
+    """Return the cell of one configuration of a table, or why it is refused.
 
     Parameters
     ----------
-    why_no_sparse_form : why the QPs cannot be formulated with the states kept; "" where they can.
+    why_no_sparse_form : reason why the QPs have no sparse form; "" where they have one.
     fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
@@ -105,10 +105,10 @@ def replay_cells(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
+    """Return the cells of a replay of so many steps; arguments as of `cell_of`.
 
-    Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
-    the hardest steps has its share of the budgets of its stretch, and a short warm-up.
+    Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
+    share of the budgets of its stretch, and a short warm-up.
     """
     share = steps / source.stretch(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
@@ -136,24 +136,23 @@ def replay_cells(
 
 
 def _own_limit_s(table: Table) -> float | None:
-    """The limit of a table's cells, where it has one of its own."""
+    """Return the limit of a table's cells, where it has one of its own."""
     return table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
 
 
 def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
-    """What a waiting configuration waits on purpose, every round run again; 0 for every other
-    configuration."""
+    """Return the intended waiting time of a configuration, every round repeated; mostly 0."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """The cells of all recorded sequences of a suite.
+    """Return the cells of all recorded sequences of a suite.
 
     Parameters
     ----------
-    beside : folder of the suite; taken : names that scenarios of it have.
+    beside : folder of the suite; taken : names of its scenarios.
 
     Raises
     ------
@@ -181,7 +180,7 @@ def recorded_cells(
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """The cells of a capability plot.
+    """Return the cells of a capability plot.
 
     Raises
     ------
@@ -199,13 +198,13 @@ def capability_cells(
 
 
 def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
-    """The same cell, refused if its solver needs P > 0."""
+    """Return the cell, refused if its solver needs P > 0."""
     needs = record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
-    """The cells of a table of random sequences."""
+    """Return the cells of a table of random sequences."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})

@@ -1,5 +1,4 @@
-"""The configurations of a suite: which solvers it means, and every way to run one that it asks
-for."""
+"""The configurations of a suite: its solvers in every mode of each table."""
 
 from __future__ import annotations
 
@@ -30,10 +29,10 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """The solvers of a suite, or those of `only`.
+    """Return the solvers of a suite, or those of `only`.
 
-    "all" means every solver of the table except those of an optional extra that is not installed:
-    they are left out by default (`dpbench list solvers` says so), and asked for by name.
+    "all" means every solver of the table except those of an optional extra that is not installed
+    (`dpbench list solvers`), which have to be named.
 
     Raises
     ------
@@ -61,7 +60,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
 
 
 def _asked(key: str, names: Sequence[str]) -> list[str]:
-    """The solvers that a key of a suite names."""
+    """Return the solvers that a key of a suite names."""
     try:
         return _named(names)
     except UnknownNameError as error:
@@ -69,7 +68,7 @@ def _asked(key: str, names: Sequence[str]) -> list[str]:
 
 
 def _named(names: Sequence[str]) -> list[str]:
-    """The solvers of some names, "all" spelt out."""
+    """Return the solvers of some names, with "all" expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
@@ -84,7 +83,7 @@ def _by_default(solver: str) -> bool:
 
 
 def checked_backup(name: str) -> tuple[str, str]:
-    """The backup of a closed loop and why it cannot be opened here; "" for no backup or reason.
+    """Return the backup of a closed loop and why it cannot be opened here, "" for neither.
 
     Raises
     ------
@@ -102,25 +101,23 @@ def checked_backup(name: str) -> tuple[str, str]:
 
 
 def identity_of(cell: Cell, library: Availability) -> str:
-    """Version and build of the library of a cell's solver, and of that of its backup."""
+    """Return version and build of the library of a cell's solver, and of its backup's."""
     if not cell.backup:
         return library.identity
     return f"{library.identity}, backup {available(cell.backup).identity}"
 
 
 def module_of(solver: str) -> str:
-    """The file of a plug-in that a worker has to load; "" for every other solver."""
+    """Return the plug-in file that a worker has to load; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
 def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuration]:
-    """The configurations of one table of a suite; a solver is left out of a route it does not have.
+    """Return the configurations of one table of a suite, on the routes each solver has.
 
-    A table may name solvers of its own: those of them that the suite has, too, take part.
-
-    The harness's own configurations have one way to run, whatever the table asks for, and take part
-    in timed replays alone.
+    Of solvers named by the table, those of the suite take part. The harness's own configurations
+    have one mode, whatever the table has, and take part in timed replays alone.
     """
     solvers = _taking_part(solvers, table)
     if not solvers:
@@ -155,7 +152,7 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
 
 
 def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
-    """Those of the suite's solvers that a table means."""
+    """Return the suite's solvers that a table means."""
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
     named = _named(table.solvers) if table.solvers else solvers
@@ -164,7 +161,7 @@ def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
 
 
 def refusal_of(configuration: Configuration) -> str:
-    """Why a configuration cannot run; "" where it can."""
+    """Return why a configuration cannot run; "" where it can."""
     here = available(configuration.solver)
     if not here.ok:
         return here.reason

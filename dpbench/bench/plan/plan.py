@@ -1,4 +1,4 @@
-"""Expand a suite into cells, before anything runs."""
+"""Expansion of a suite into cells, before anything runs."""
 
 from __future__ import annotations
 
@@ -38,11 +38,10 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[PlannedCell]:
-    """All cells of a suite in the order they run: closed loops, replays, recorded and random
-    ones, capability plots.
+    """Return all cells of a suite in the order they run.
 
-    Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
-    choice of `scenarios` leaves all that have no scenario out.
+    Paths of scenarios and sequences are relative to `beside`, the folder of the suite. A choice of
+    `scenarios` leaves out all that have no scenario.
 
     Raises
     ------
@@ -83,7 +82,7 @@ def plan(
 
 
 def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
-    """Their names; InputError when two have the same."""
+    """Return their names; InputError when two have the same."""
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
         if stems.count(stem) > 1:
@@ -95,15 +94,15 @@ def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
 def _under_horizons(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """The scenarios of the replays under each pair of horizons that a table asks for."""
+    """Return the scenarios of the replays under each pair of horizons of a table."""
     asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
 def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Each cell once, with all names of its settings.
+    """Return each cell once, with all names of its settings.
 
-    Two tables may ask for the same cell, e.g. by its route's name and as the default one.
+    Two tables may have the same cell, e.g. by its route's name and as the default one.
     """
     once: dict[str, PlannedCell] = {}
     for planned in cells:
@@ -185,7 +184,7 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """InputError for a window that is larger than its stretch, or of other QPs than a loop's."""
+    """Refuse a window that is larger than its stretch, or of other QPs than a loop's."""
     where = f"suite: replay of {scenario.name}"
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
@@ -199,7 +198,6 @@ def _check_window(table: ReplayTable, scenario: Scenario) -> None:
 
 
 def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
-    """The name of a replay of so many steps of a scenario from the table's first on."""
     window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     return f"{scenario.name}{window}"
 
@@ -211,7 +209,7 @@ def _consequence_cells(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """The cells of each failure group; the harness's own configurations have no part in them."""
+    """Return the cells of each failure group, without the harness's own configurations."""
     thrusters, _ = steered_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"

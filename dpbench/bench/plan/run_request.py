@@ -1,4 +1,4 @@
-"""What a person asks for, a suite or a part of it, and the plan that this means."""
+"""A request of a user, a suite or a part of it, and the plan it means."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from dpbench.solvers.table import load_solver_module
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All cells of what was asked for.
+    """All requested cells.
 
     Parameters
     ----------
-    path : the file of the suite; document : what is left of it.
+    path : the file of the suite; document : its requested content.
     part : whether it is less than the whole suite.
     """
 
@@ -40,14 +40,14 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """Of all cells: another plan has another one."""
+        """Digest of all cells, which tells plans apart."""
         texts = sorted(planned.cell.to_json() for planned in self.cells)
         return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What is asked for; each as in `run_campaign`."""
+    """A request; its fields are arguments of `run_campaign`."""
 
     suite: str | None = None
     sequence: str | None = None
@@ -58,7 +58,7 @@ class RunRequest:
     solver_module: str | None = None
 
     def plan(self) -> Plan:
-        """The cells that are meant; InputError for whatever cannot be run."""
+        """Return the requested cells; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
         name, path, document = self._suite()
@@ -73,7 +73,7 @@ class RunRequest:
 
     @property
     def _file(self) -> Path | None:
-        """The file of the suite; None where it has a name, or is none."""
+        """File of the suite; None where it has a name, or is none."""
         named = self.suite is None or not self.suite.endswith(".toml")
         return None if named else Path(str(self.suite))
 
@@ -83,12 +83,12 @@ class RunRequest:
         return self._file is None or self._file.is_file()
 
     def from_anywhere(self) -> RunRequest:
-        """The same, with the file of the suite as it is found from every folder."""
+        """Return the request with an absolute path of its suite."""
         file = self._file
         return self if file is None else replace(self, suite=str(file.resolve()))
 
     def _suite(self) -> tuple[str, Path, SuiteFile]:
-        """Name, file and document of the suite, or of the one that replays a sequence."""
+        """Return name, file and document of the suite, or of one that replays a sequence."""
         if self.suite is not None and self.sequence is None:
             path, document = load_suite(self.suite)
             return path.stem, path, document
@@ -108,12 +108,12 @@ def with_choices(
     settings: Sequence[str] | None = None,
     steps: int | None = None,
 ) -> SuiteFile:
-    """The suite as it is asked for.
+    """Return the requested part of a suite.
 
     Parameters
     ----------
-    scenarios : where the suite does not name all of them, they take the place of its own, by name
-        or TOML file: each closed loop and replay is run with them, from the first step on.
+    scenarios : unless the suite names all of them, they replace its own, by name or TOML file: each
+        closed loop and replay runs with them, from the first step on.
     settings : at these levels and no other.
     steps : at most so many of each loop and replay.
 
@@ -153,7 +153,6 @@ def _changed(model: Model, **update: object) -> Model:
 
 
 def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
-    """Tables that have become equal, once."""
     kept: list[RunsTable] = []
     for table in tables:
         if table not in kept:
@@ -162,7 +161,7 @@ def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
 
 
 def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
-    """What the plan cannot answer, said before it runs."""
+    """Return the limits of what the plan can answer."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports(max(lengths), 99):

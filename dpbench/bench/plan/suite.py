@@ -27,7 +27,6 @@ FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 def _off_or_slower(value: float) -> float:
-    """A computer is not faster than the one that is measured."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
@@ -163,7 +162,7 @@ class RandomTable(RunsTable):
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
     def recipes(self) -> list[RandomRecipe]:
-        """The recipes of the table; InputError for one that cannot be."""
+        """Return the recipes of the table; InputError for an impossible one."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
             for family in self.families
@@ -186,10 +185,10 @@ class RecordedTable(RunsTable):
 
 
 class CapabilityTable(RunsTable):
-    """The capability plot of a ship: the largest wind its thrusters hold from 36 directions, intact
-    and after each failure (DNV-ST-0111, level 1), and the QPs at that edge through every solver.
+    """The capability plot of a ship (DNV-ST-0111, level 1), and its QPs through every solver.
 
-    Such QPs have no units but their own, and no deadline: each is solved in one round.
+    It is the largest wind the thrusters hold from 36 directions, intact and after each failure. Its
+    QPs have no units but their own, and no deadline: each is solved in one round.
     """
 
     units: ClassVar[list[Units]] = ["scaled"]
@@ -201,8 +200,7 @@ class CapabilityTable(RunsTable):
 
 
 class DesignTable(FileModel):
-    """Stability and region of attraction of controllers, those of some scenarios, in vessels; no
-    solver's part."""
+    """Stability and region of attraction of controllers in vessels, without any solver."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
     """Scenarios whose controllers are studied."""
@@ -278,7 +276,7 @@ class SuiteFile(FileModel):
 
     @classmethod
     def tables_of_cells(cls) -> list[str]:
-        """The names of the tables of which a suite has several, each a group of its cells."""
+        """Return the names of the tables that are groups of cells."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
@@ -290,7 +288,7 @@ class SuiteFile(FileModel):
 
 @contextmanager
 def naming(path: Path, *, chosen: bool = False) -> Iterator[None]:
-    """Complaints about "the suite", its scenarios and settings name its file.
+    """Name the file in errors about "the suite", its scenarios and settings.
 
     Settings that were `chosen` on the command line are not the file's.
     """
@@ -314,7 +312,7 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
-    """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
+    """Return a suite by name or TOML path, with its file; InputError if it is bad."""
     path = problem_path("suites", name_or_path)
     document = read_toml(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
@@ -333,10 +331,10 @@ _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
 
 def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
-    """The suite that replays one recorded sequence through every solver, default and high.
+    """Return the suite that replays one sequence through every solver, default and high.
 
-    What a search found, as `meta` of the sequence says, is replayed in the way its solver was run
-    as well: another route or policy shows other iterations, or none.
+    A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
+    another route or policy has other iterations, or none.
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
@@ -352,7 +350,7 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
 
 
 def _searched_step(meta: Mapping[str, object]) -> ReportTable:
-    """The step that a search found, and for whom; an empty table where the file does not say."""
+    """Return the step of a worst case and its solver; an empty table where there is none."""
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
