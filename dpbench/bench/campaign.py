@@ -29,17 +29,16 @@ from dpbench.bench.plan.configurations import identity_of
 from dpbench.bench.plan.run_request import Plan, RunRequest, remarks_on
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
-from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.descriptions import MachineDescription
-from dpbench.bench.record.qp_source import CapabilitySource
+from dpbench.bench.record.machine import Revision, revision, revisions
 from dpbench.bench.record.result_folder import (
+    MachineDescription,
     claimed,
     load_descriptions,
     read_suite,
     write_json,
 )
-from dpbench.bench.record.revision import Revision, revision, revisions
 from dpbench.bench.sequences.capability_boundary import capability_in
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate

@@ -23,8 +23,7 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.descriptions import validated
-from dpbench.bench.record.result_folder import read_json, write_json
+from dpbench.bench.record.result_folder import read_json, validated, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.worker import pin, settle, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError

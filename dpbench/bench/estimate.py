@@ -19,9 +19,8 @@ from dpbench.bench.campaign import default_folder
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.errors import InputError, ResultsError

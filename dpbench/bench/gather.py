@@ -23,9 +23,8 @@ from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.descriptions import MachineDescription
-from dpbench.bench.record.finished_batch import DAMAGE
-from dpbench.bench.record.result_folder import claimed
+from dpbench.bench.record.result_folder import MachineDescription, claimed
+from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError

@@ -21,9 +21,9 @@ from dpbench.bench.record.cell_store import (
     rows_of,
     without_steps,
 )
-from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import (
+    DAMAGE,
     FILE_SCHEMA,
     filter_runs,
     frame_of_runs,

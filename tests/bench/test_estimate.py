@@ -9,9 +9,8 @@ import pytest
 from dpbench import load_results
 from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, rates_of
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
 

@@ -37,9 +37,8 @@ from dpbench.bench.engines.on_worker import (
 )
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.record.qp_source import RecordedSource
 from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, solvers_of
 from dpbench.errors import CertificateError, InputError

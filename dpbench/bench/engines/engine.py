@@ -10,7 +10,7 @@ from typing import Protocol
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.descriptions import MachineDescription
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.jobs import Batch, CellJob, Result
 from dpbench.errors import DpbenchError
 

@@ -12,8 +12,7 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.compiled import missing, needed
+from dpbench.bench.workers.child import missing, needed, template_context
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, solvers_of
 from dpbench.bench.workers.scratch import Scratch

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.machine import describe_machine
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target

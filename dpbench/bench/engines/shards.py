@@ -12,9 +12,8 @@ from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.descriptions import MachineDescription, validated
-from dpbench.bench.record.result_folder import read_json, write_json
-from dpbench.bench.record.revision import Revision, revision
+from dpbench.bench.record.machine import Revision, revision
+from dpbench.bench.record.result_folder import MachineDescription, read_json, validated, write_json
 from dpbench.bench.workers.jobs import (
     BATCH_CELLS,
     CellJob,

@@ -24,15 +24,15 @@ from dpbench.bench.plan.suite import (
     ReplayTable,
     SuiteFile,
 )
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.record.qp_source import (
+from dpbench.bench.record.cell import (
     CONTROLLER,
     CapabilitySource,
+    Cell,
     QPSource,
     RandomSource,
     RecordedSource,
 )
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe

@@ -22,7 +22,7 @@ from dpbench.bench.plan.configurations import (
 )
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
-from dpbench.bench.record.qp_source import CONTROLLER, ConsequenceSource, HardestSource, QPSource
+from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.consequence import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, one_of

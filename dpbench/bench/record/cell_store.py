@@ -26,14 +26,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.bench.record.cell import OUTCOMES
-from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, part_of, runs_in
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.record.step_table import (
+    DAMAGE,
     FILE_SCHEMA,
     NO_RUNS,
+    BatchPart,
     encode_steps,
     filter_runs,
     frame_of_runs,
+    part_of,
+    runs_in,
     runs_table,
     stored_runs,
     stored_steps,

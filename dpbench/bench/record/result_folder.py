@@ -1,4 +1,8 @@
-"""The result folder: parquet tables, machine and suite descriptions, and the cells behind them."""
+"""The result folder: checked tables, types of `machine.json` and `suite.json`, and its locks.
+
+All keys of these files but the required ones may be missing, and unknown ones may be present:
+releases differ.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,16 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Required, TypeVar, get_args
 
 import pandas as pd
 import pyarrow as pa
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
-from dpbench.bench.record.descriptions import MachineDescription, SuiteDescription, validated
+from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
@@ -26,7 +32,6 @@ from dpbench.bench.record.recorded_steps import (
     of_another_type,
     readable,
 )
-from dpbench.bench.record.run_checks import check_runs
 from dpbench.bench.record.schema import PREFIX, SCHEMA_VERSION, as_steps
 from dpbench.bench.record.step_table import frame_of_runs, stored_runs
 from dpbench.errors import InputError, ResultsError
@@ -34,6 +39,139 @@ from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
 from dpbench.locks import Patience, holders, lock_folder
+from dpbench.solvers.contract import Policy, Route
+
+_Kind = TypeVar("_Kind")
+_OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+
+
+class ComparedMachine(TypedDict, total=False):
+    """Properties that make times of two machines comparable."""
+
+    cpu_model: str
+    cores: int
+    memory_GiB: int
+    kernel: str
+    python: str
+    versions: dict[str, str]
+
+
+@with_config(_OPEN)
+class MachineDescription(ComparedMachine, total=False):
+    """`machine.json`; `others` are machines whose cells were gathered too."""
+
+    id: Required[str]
+    governor: str
+    frequency_MHz: float | str
+    blas: list[str] | None
+    throttle_counters: str
+    affinity: list[int] | None
+    clock_read_ns: float
+    timer_resolution_ns: float
+    load_average: list[float]
+    others: list[MachineDescription]
+
+
+class _Demand(TypedDict, total=False):
+    error_move: float
+    failed_steps: int
+    p99_ms: float
+    deadline_ms: float
+
+
+class _Report(TypedDict, total=False):
+    baseline: str | None
+    step: int | None
+    configuration: str | None
+
+
+class StudyDescription(TypedDict, total=False):
+    """A `[[study]]` of `suite.json`."""
+
+    base: Required[str]
+    name: str | None
+    radius_m: float
+
+
+class RevisionDescription(TypedDict):
+    """A revision of dpbench."""
+
+    commit: str
+    clean: bool
+
+
+@with_config(_OPEN)
+class SuiteDescription(TypedDict, total=False):
+    """`suite.json`."""
+
+    name: str
+    title: str
+    harness_version: str
+    started_utc: str
+    run_rows: Required[int]
+    step_rows: Required[int]
+    lost_cells: int
+    lost_designs: int
+    remarks: list[str]
+    revisions: list[RevisionDescription]
+    demand: _Demand
+    report: _Report
+    study: list[StudyDescription]
+
+
+def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
+    """Return the document of a file as a type; ResultsError, naming the key, for other types."""
+    try:
+        # As JSON: a list is a tuple there, and a whole number a float.
+        return _adapter(kind).validate_json(json.dumps(document))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
+        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
+        raise ResultsError(str(path), key, value, allowed) from error
+
+
+@cache
+def _adapter(kind: type[_Kind]) -> TypeAdapter[_Kind]:
+    return TypeAdapter(kind)
+
+
+_WORDS = {
+    "mode": ("closed_loop", "replay"),
+    "route": get_args(Route),
+    "policy": get_args(Policy),
+    "units": get_args(Units),
+    "formulation": FORMULATIONS,
+    "outcome": OUTCOMES,
+}
+"""All words of a column."""
+_LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, "replay_s": 1e-9}
+"""The least number of a column, where it is not missing."""
+
+
+def check_runs(runs: pd.DataFrame, path: Path) -> None:
+    """Refuse rows that no campaign writes; ResultsError, naming the column and the row from 0."""
+    for column, is_bad, allowed in _rules(runs):
+        if is_bad.any():
+            row = int(is_bad.to_numpy().argmax())
+            value = runs[column].iloc[row]
+            found = "nothing" if pd.isna(value) else str(value)[:80]
+            raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
+
+
+def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+    """Yield column, rows that break its rule, and the rule."""
+    for column, words in _WORDS.items():
+        yield column, ~runs[column].isin(words), " | ".join(words)
+    for column, least in _LEAST.items():
+        yield column, (runs[column] < least).fillna(False), f"{least:g} or more"
+    finished = (runs["mode"] == "replay") & (runs["outcome"] == "finished")
+    yield "rounds", finished & (runs["rounds"] == 0).fillna(False), "1 or more, as it finished"
+    yield "N_p", runs["N_p"].isna() & runs["N_c"].notna(), "a horizon, as N_c is one"
+    of_study = runs["study"] != ""
+    for column in ("study_point", "replicate"):
+        yield column, of_study & runs[column].isna(), "a number, as the run is of a study"
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,9 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.npz import kept
-from dpbench.bench.record.qp_source import (
+from dpbench.bench.record.cell import (
     CapabilitySource,
+    Cell,
     ConsequenceSource,
     ControllerSource,
     HardestSource,
@@ -23,6 +22,7 @@ from dpbench.bench.record.qp_source import (
     RandomSource,
     RecordedSource,
 )
+from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary

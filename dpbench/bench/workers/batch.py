@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, read_part
 from dpbench.bench.record.raw_log import discard
+from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
 from dpbench.bench.workers.shared_status import Phase, set_phase

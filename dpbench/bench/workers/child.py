@@ -8,10 +8,11 @@ import multiprocessing.forkserver
 import multiprocessing.resource_tracker
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import wait
@@ -25,12 +26,48 @@ from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.run.footprint import peak_bytes_of
 from dpbench.bench.workers import shared_status
-from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
 from dpbench.bench.workers.interrupts import sigint_blocked
 from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
+from dpbench.kernel_cache import cache_folders
+from dpbench.solvers.own.adapters import WITH_KERNELS
 from dpbench.temporary_folders import keep_sockets
+
+LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
+"""Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
+_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.nbi"}
+"""The index in the cache of what each of them compiles last."""
+
+
+def needed(solvers: Iterable[str]) -> list[str]:
+    """Return the modules that cells of these solvers need; `LOOP`, which is the template, last."""
+    return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
+
+
+def missing(modules: Sequence[str]) -> list[str]:
+    """Return the modules that are not in Numba's cache on this machine yet."""
+    folders = cache_folders()
+    return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
+
+
+def compile_in_processes(modules: Sequence[str]) -> None:
+    """Compile each of the modules in a process of its own, side by side.
+
+    The error of one that fails appears where its kernels are needed.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+    try:
+        for module in modules:
+            program = [sys.executable, "-c", f"import {module}"]
+            processes.append(subprocess.Popen(program, stderr=subprocess.DEVNULL))
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""

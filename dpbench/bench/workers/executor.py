@@ -12,19 +12,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.finished_batch import BatchPart, batch_part
 from dpbench.bench.record.raw_log import discard
-from dpbench.bench.record.step_table import no_steps
+from dpbench.bench.record.step_table import BatchPart, batch_part, no_steps
 from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
-from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER
-from dpbench.bench.workers.cores import CorePool, run_on_cores
+from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, work_of
 from dpbench.bench.workers.leases import leased_machine
@@ -32,6 +32,70 @@ from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.locks import ALONE, TOGETHER, Holder, Patience
+
+POLL_S = 0.1
+"""The end of a process is noticed at once; this is for what takes too long."""
+
+
+class Task(Protocol):
+    """A sequence of processes on one core."""
+
+    def start(self, core: int) -> Child:
+        """Start its first process."""
+
+    def follow(self, child: Child, core: int) -> Child | None:
+        """Record the outcome of a process; start the next one, or return None at the end."""
+
+
+AnyTask = TypeVar("AnyTask", bound=Task)
+
+
+class CorePool(Generic[AnyTask]):
+    """Cores that run tasks, each one at a time."""
+
+    def __init__(self, cores: Sequence[int]) -> None:
+        self._free = list(cores)
+        self._waiting = deque[AnyTask]()
+        self._running: list[tuple[AnyTask, Child, int]] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting) + len(self._running)
+
+    def add(self, task: AnyTask) -> None:
+        """Run a task when a core is free."""
+        self._waiting.append(task)
+
+    def completed(self) -> Iterator[AnyTask]:
+        """Wait until a task has ended, if there is any; yield those that have."""
+        ended: list[AnyTask] = []
+        while len(self) and not ended:
+            while self._waiting and self._free:
+                task, core = self._waiting.popleft(), self._free.pop()
+                self._running.append((task, task.start(core), core))
+            wait([child.process.sentinel for _, child, _ in self._running], POLL_S)
+            for entry in list(self._running):
+                task, child, core = entry
+                if child.process.is_alive() and not child.overdue():
+                    continue
+                child.join()
+                self._running.remove(entry)
+                following = task.follow(child, core)
+                if following is None:
+                    self._free.append(core)
+                    ended.append(task)
+                else:
+                    self._running.append((task, following, core))
+        yield from ended
+
+
+def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
+    """Run tasks, each on one core; yield each when it has ended."""
+    pool = CorePool[AnyTask](cores)
+    for task in tasks:
+        pool.add(task)
+    while len(pool):
+        yield from pool.completed()
+
 
 Sources = Mapping[str, Path]
 """The files behind the QPs of a batch, by key."""

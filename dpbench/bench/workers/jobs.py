@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.finished_batch import BatchPart
+from dpbench.bench.record.step_table import BatchPart
 from dpbench.solvers.table import Availability
 
 Item = TypeVar("Item")

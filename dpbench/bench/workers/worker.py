@@ -24,11 +24,10 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
-from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, drawn_of

@@ -12,7 +12,7 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile
-from dpbench.bench.record.qp_source import CapabilitySource
+from dpbench.bench.record.cell import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.report.write import write_report

@@ -11,8 +11,7 @@ import pytest
 
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.qp_source import RecordedSource
+from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.schema import ABSENT
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.calibration import NO_OP

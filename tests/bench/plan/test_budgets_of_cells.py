@@ -13,8 +13,7 @@ from dpbench import load_scenario
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.qp_source import HardestSource
+from dpbench.bench.record.cell import Cell, HardestSource, Outcome
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS, ReplayWorker
 from dpbench.errors import InputError

@@ -19,10 +19,11 @@ from dpbench.bench.judge.rows import step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
-from dpbench.bench.record.finished_batch import BatchPart, batch_part
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.bench.record.step_table import (
+    BatchPart,
+    batch_part,
     columns_of,
     concat_runs,
     filter_runs,

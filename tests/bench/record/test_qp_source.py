@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.qp_source import CONTROLLER, SOURCES, source_from
+from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, source_from
 from dpbench.errors import InputError
 
 CELL = Cell("replay", {"name": "turn"}, "daqp", "native", "fresh", "default", 20, first=100)

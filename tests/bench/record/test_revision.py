@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.revision import checked_out, installed, revision_text, revisions
+from dpbench.bench.record.machine import checked_out, installed, revision_text, revisions
 
 
 def _git(folder: Path, *words: str) -> None:

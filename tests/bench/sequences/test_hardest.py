@@ -12,8 +12,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.qp_source import HardestSource
+from dpbench.bench.record.cell import Cell, HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.sequences.hardest import (
     active_limits,

@@ -21,9 +21,9 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.finished_batch import BatchPart
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
 from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave

@@ -5,7 +5,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from dpbench.bench.workers.compiled import LOOP, OWN, missing, needed
+from dpbench.bench.workers.child import LOOP, OWN, missing, needed
 
 
 def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None:
