@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from dpbench.bench.judge.rules import supports
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.study_points import RunsTable
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError
@@ -41,8 +40,12 @@ class Plan:
     @cached_property
     def digest(self) -> str:
         """Digest of all cells, which tells plans apart."""
-        texts = sorted(planned.cell.to_json() for planned in self.cells)
-        return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
+        digest, separator = hashlib.sha256(), b""
+        # One by one: all texts joined would take as much memory again.
+        for text in sorted(planned.cell.to_json() for planned in self.cells):
+            digest.update(separator + text.encode())
+            separator = b"\n"
+        return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -141,8 +144,14 @@ def with_choices(
         for key in ("closed_loop", "replay", "study"):
             tables[key] = [_changed(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
         tables["replay"] = [_changed(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
-    chosen = scenarios or settings or steps is not None
-    return _changed(suite, **{k: _once(own) for k, own in tables.items()}) if chosen else suite
+    if not (scenarios or settings or steps is not None):
+        return suite
+    # Tables may have become equal.
+    once = {
+        key: [table for i, table in enumerate(own) if table not in own[:i]]
+        for key, own in tables.items()
+    }
+    return _changed(suite, **once)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -150,14 +159,6 @@ Model = TypeVar("Model", bound=BaseModel)
 
 def _changed(model: Model, **update: object) -> Model:
     return model.model_copy(update=update)
-
-
-def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
-    kept: list[RunsTable] = []
-    for table in tables:
-        if table not in kept:
-            kept.append(table)
-    return kept
 
 
 def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:

@@ -58,14 +58,7 @@ class DemandTable(FileModel):
 
 
 class ClosedLoopTable(RunsTable):
-    """Every solver steers the ship itself; route "default" is each solver's own.
-
-    With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
-    much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
-    answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
-    limit of a cell here, where it is not that of the suite. With `solvers` only those of the suite
-    take part that are named here, and none of `without`.
-    """
+    """Every solver steers the ship itself; route "default" is each solver's own."""
 
     scenarios: list[str]
     """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
@@ -103,12 +96,9 @@ class ClosedLoopTable(RunsTable):
 class ReplayTable(RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
-    With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
-    With `solvers` only those of the suite take part that are named here, and none of `without`.
-    With `consequence` the QPs are not the controller's: a sequence for each failure group of the
-    ship says whether the other thrusters could take over at each sample. With `hardest` only a
-    window of the steps is replayed: so many in a row around the hardest of them, which has most
-    active limits and changes of them at the optimum.
+    Consequence analysis has a sequence for each failure group of the ship, which tells whether the
+    other thrusters could take over at each sample. The hardest step has most active limits and
+    changes of them at the optimum.
     """
 
     scenario: str
@@ -209,11 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """What the report shows first.
-
-    `baseline` is the solver set beside the answer, by default the next best. A suite that is about
-    one step names it, `step`, and the `configuration` it was found for, as the report calls it.
-    """
+    """What the report shows first, e.g. the one step that a suite is about."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -226,11 +212,7 @@ class ReportTable(FileModel):
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
-    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS` count;
-    0 for all of them whatever they take. Rounds in which other work slowed the load kernel run
-    again, for up to `repeat_budget_s` of each replay (both in `interleaved.py`). With
-    `baseline_law` the clipped unconstrained law steers too; with `calibration` the harness's own
-    configurations, whose cost is known, take part in every replay.
+    A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
 
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}

@@ -125,12 +125,12 @@ class Disturbance:
     @property
     def steal_share(self) -> float:
         """Share of the time that the host of a virtual machine took."""
-        return self.steal_s / self.seconds if self.seconds > 0 else float("nan")
+        return self.steal_s / (self.seconds or np.nan)
 
     @property
     def switches_per_s(self) -> float:
         """Involuntary context switches a second."""
-        return self.involuntary / self.seconds if self.seconds > 0 else float("nan")
+        return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
         """Return the violations of `RULE`; none for a quiet machine."""

@@ -6,7 +6,6 @@ group, however many runs there are.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
@@ -36,37 +35,7 @@ KEPT_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
 
 
-class StepTable(ABC):
-    """The rows of `steps.parquet`, those of a run behind each other."""
-
-    rows: int
-
-    @abstractmethod
-    def scan(
-        self, columns: Sequence[str], run_ids: Container[str] | None = None
-    ) -> Iterator[pd.DataFrame]:
-        """Yield the rows of whole runs, some hundred thousand at a time.
-
-        Parameters
-        ----------
-        columns : of `STEP_COLUMNS`.
-        run_ids : only the steps of these runs; None for all.
-
-        Raises
-        ------
-        ResultsError : the file is damaged.
-        """
-
-    @abstractmethod
-    def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """Return the rows of one run, none where it left none; raises as `scan`."""
-
-    @abstractmethod
-    def frame(self) -> pd.DataFrame:
-        """Return all rows with all columns."""
-
-
-class StepsInMemory(StepTable):
+class StepsInMemory:
     """The rows of a data frame with the columns of `STEP_COLUMNS`."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
@@ -99,7 +68,7 @@ class StepsInMemory(StepTable):
         return places_of(self._frame["run_id"])
 
 
-class StepsOnDisk(StepTable):
+class StepsOnDisk:
     """The rows of the `steps.parquet` of a result folder.
 
     Raises
@@ -130,7 +99,17 @@ class StepsOnDisk(StepTable):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """Yield the requested rows of one row group at a time."""
+        """Yield the rows of whole runs, some hundred thousand at a time.
+
+        Parameters
+        ----------
+        columns : of `STEP_COLUMNS`.
+        run_ids : only the steps of these runs; None for all.
+
+        Raises
+        ------
+        ResultsError : the file is damaged.
+        """
         for table in self.tables(columns, run_ids):
             yield _as_frame(table, columns)
 
@@ -182,6 +161,10 @@ class StepsOnDisk(StepTable):
         for name in [name for name in asked if name not in self._stored]:
             table = table.append_column(name, absent_column(STEP_COLUMNS[name][0], len(table)))
         return table.select(asked)
+
+
+StepTable = StepsInMemory | StepsOnDisk
+"""The rows of `steps.parquet`, those of a run behind each other."""
 
 
 def scan_steps(

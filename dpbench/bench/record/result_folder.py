@@ -223,7 +223,8 @@ def claimed(
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _lock_file(make_folder(folder / "cells") / ".lock")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(make_folder(folder / "cells") / ".lock", flags, 0o666)
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
@@ -236,11 +237,6 @@ def claimed(
             raise InputError(where, "", found, "to wait for it, or another folder") from error
         with writing(folder, patience):
             yield
-
-
-def _lock_file(path: Path) -> int:
-    """Open a file for locking."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
 @contextmanager
@@ -336,15 +332,11 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
         raise of_another_type(path, str(error)[:80]) from error
     check_runs(runs, path)
-    _check_solvers(path, runs)
-    return runs
-
-
-def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
-    """Refuse a solver whose name is no file name, as `report --for` writes one."""
+    # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
         if not is_file_name(str(name)):
             raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
+    return runs
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -354,9 +346,9 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 of those files of a folder that exist, by name."""
-    return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    found = {}
+    for path in (folder / name for name in names):
+        if path.is_file():
+            with path.open("rb") as file:
+                found[path.name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found

@@ -251,7 +251,7 @@ class CellExecutor(ExitStack):
         Suspects of a dead template run alone, which finds the one that ends its template; the
         others take turns once more.
         """
-        cells = [(job.run_id, self._here(job.cell)) for job in jobs]
+        cells = [(job.run_id, replace(job.cell, solver_module=self._module(job))) for job in jobs]
         turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
         outcomes = turns(cells)
         suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
@@ -306,11 +306,6 @@ class CellExecutor(ExitStack):
                 lost.append(_lost(job, str(error)))
         return sizes, lost
 
-    def _here(self, cell: Cell) -> Cell:
-        """Return the cell with the path of its plug-in on this machine."""
-        module = self._modules.get(cell.solver_module)
-        return cell if module is None else replace(cell, solver_module=module)
-
     def find_machine_free(self, *, times: bool) -> None:
         """Raise BusyError early where the machine stays busy beyond the patience.
 
@@ -332,6 +327,10 @@ class CellExecutor(ExitStack):
             self.progress.waiting(WAITING.format(holders))
         self._waited_for = holders
 
+    def _module(self, job: CellJob) -> str:
+        """Return the path of the job's plug-in on this machine."""
+        return self._modules.get(job.cell.solver_module, job.cell.solver_module)
+
     def _batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
@@ -343,12 +342,9 @@ class CellExecutor(ExitStack):
             outcome,
             job.library,
             self._machine_id,
-            self._modules.get(job.cell.solver_module, job.cell.solver_module),
-            self._concurrency_of(job.cell),
+            self._module(job),
+            self._concurrency if job.cell.is_timed else None,
         )
-
-    def _concurrency_of(self, cell: Cell) -> int | None:
-        return self._concurrency if cell.is_timed else None
 
     def _results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
@@ -362,7 +358,9 @@ class CellExecutor(ExitStack):
                 became[job] = Outcome("lost", detail)
             elif outcome.outcome != "lost" and job.run_id not in kept:
                 about = job.run_id, job.cell, outcome, job.library, self._machine_id
-                row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
+                row = run_row(
+                    *about, None, None, concurrency=self._concurrency if job.cell.is_timed else None
+                )
                 without_steps[job.run_id] = row, no_steps()
             discard(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):

@@ -147,8 +147,8 @@ class ReplayGroup:
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                for entry in self._cells[i : i + STARTED_TOGETHER]:
-                    workers.append(self._start(*entry))
+                for run_id, cell in self._cells[i : i + STARTED_TOGETHER]:
+                    workers.append(ReplayWorker(run_id, cell, self._child(run_id, cell)))
                 for worker in workers[i:]:
                     worker.serving = worker.child.ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
@@ -171,12 +171,8 @@ class ReplayGroup:
             if worker.serving:
                 with suppress(OSError, ValueError):
                     logs[worker.run_id] = self._log(worker)
-        rerun_loaded_rounds(
-            [worker for worker in workers if worker.run_id in logs], logs, self.serve, order
-        )
-
-    def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
-        return ReplayWorker(run_id, cell, self._child(run_id, cell))
+        serving = [worker for worker in workers if worker.run_id in logs]
+        rerun_loaded_rounds(serving, logs, self.serve, order)
 
     def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
@@ -218,11 +214,10 @@ class ReplayGroup:
     def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
         """Return whether the reference kernel around round r was slow."""
         try:
-            kernel_ns = self._log(worker).reference_kernel_ns
+            return bool(is_disturbed(self._log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
-        return bool(is_disturbed(kernel_ns)[r])
 
     def _log(self, worker: ReplayWorker) -> RawLog:
         return RawLog.open(self._folder / f"{worker.run_id}.raw")

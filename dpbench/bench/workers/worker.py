@@ -171,14 +171,6 @@ def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Work
         return None
 
 
-def _worst_detail(timed_solver: TimedSolver) -> str:
-    """Return the library's most frequent words on its failures, with their count."""
-    if not timed_solver.details:
-        return ""
-    words, count = max(timed_solver.details.items(), key=lambda item: item[1])
-    return f"{count} × {words}"
-
-
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     """Run the cells of one configuration, each with a raw log and a verdict of its own."""
     pin(core)
@@ -254,12 +246,12 @@ def _in_round(log: RawLog) -> str:
 
 def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
     """Return the verdict on a cell that ended by itself, `stopped` where its limit ended it."""
-    detail = _worst_detail(timed_solver)
-    if stopped:
-        stop = f"stopped after {cell.limit_s:g} s {stopped}"
-        detail = f"{stop}; {detail}" if detail else stop
-    if cut := output_cut():
-        detail = f"{detail}; {cut}" if detail else cut
+    details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
+    if timed_solver.details:
+        # The library's most frequent words on its failures.
+        words, count = max(timed_solver.details.items(), key=lambda item: item[1])
+        details.append(f"{count} × {words}")
+    detail = "; ".join(filter(None, [*details, output_cut()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
 
