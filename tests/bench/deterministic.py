@@ -1,7 +1,8 @@
-"""What another run of the same cells has, bit for bit."""
+"""Small suites of tests, and what another run of the same cells has, bit for bit."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pandas as pd
@@ -31,3 +32,10 @@ def assert_same(found: Path, wanted: Path) -> None:
     tables = deterministic(results), deterministic(load_results(wanted))
     for one, other in zip(*tables, strict=True):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def head(**fields: object) -> str:
+    """The head of a small suite in TOML, of daqp alone unless `fields` have other solvers."""
+    usual = {"solvers": ["daqp"], "baseline_law": False, "cell_limit_s": 60.0}
+    values = {"title": "A suite for one test"} | usual | fields
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())

@@ -13,6 +13,7 @@ from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
+from tests.bench.deterministic import head
 
 
 def cell(solver: str, steps: int, **more: object) -> PlannedCell:
@@ -43,14 +44,9 @@ def test_what_does_not_run_takes_nothing() -> None:
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["daqp", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 3
-
+SUITE = (
+    head(solvers=["daqp", "quadprog"], rounds=2, warmup_steps=3)
+    + """
 [[study]]
 base = "weather"
 steps = 12
@@ -61,6 +57,7 @@ scenario = "paper"
 steps = 20
 policies = ["fresh", "warm"]
 """
+)
 
 
 @pytest.mark.slow

@@ -19,20 +19,16 @@ from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 
 # What else runs could use up a limit of one second, which one of its solvers is to reach.
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).with_name("faulty_plugin.py")
 STEPS = 6
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-rounds = 1
-warmup_steps = 0
-cell_limit_s = 1.0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0, cell_limit_s=1.0)
+    + f"""
 [[random]]
 families = ["no_rows"]
 sizes = [[3, 0], [4, 0], [5, 0], [6, 0], [7, 0], [8, 0]]
@@ -46,6 +42,7 @@ steps = {STEPS}
 routes = ["native"]
 policies = ["fresh", "warm"]
 """
+)
 
 
 @pytest.fixture(scope="module")

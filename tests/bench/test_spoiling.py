@@ -26,6 +26,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers import plugins
 from dpbench.solvers.contract import Policy, Workspace
+from tests.bench.deterministic import head
 
 PLUGIN = Path(__file__).with_name("spoiling_plugin.py")
 WAYS: list[tuple[str, Policy, Formulation, UnitSystem, str]] = [
@@ -127,14 +128,9 @@ def test_the_zero_answer_to_a_cost_made_zero_is_wrong() -> None:
     assert run.summary["true_share"] == 0.0 and not run.steps["true"].any()
 
 
-SUITE = """
-title = "One solver that spoils what it gets"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 12
-
+SUITE = (
+    head(solvers=["quadprog"], rounds=2, warmup_steps=12)
+    + """
 [[closed_loop]]
 scenarios = ["paper"]
 steps = 12
@@ -151,6 +147,7 @@ sizes = [[4, 6]]
 steps = 6
 routes = ["native"]
 """
+)
 
 
 @pytest.mark.slow

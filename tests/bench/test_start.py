@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import dpbench
+from tests.bench.deterministic import head
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(dpbench.__file__).parents[1])}
 NEEDLESS = (
@@ -33,16 +34,14 @@ from dpbench import load_results, run_campaign
 out = run_campaign("tiny.toml", "out", engine="ENGINE")
 print(*load_results(out).runs["outcome"])
 """
-SUITE = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-
+SUITE = (
+    head()
+    + """
 [[closed_loop]]
 scenarios = ["paper"]
 steps = 3
 """
+)
 
 
 @pytest.mark.slow

@@ -7,15 +7,11 @@ from pathlib import Path
 import pytest
 
 from dpbench import run_campaign
+from tests.bench.deterministic import head
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=2, warmup_steps=0)
+    + """
 [[closed_loop]]
 scenarios = ["paper", "rough"]
 settings = ["default", "high"]
@@ -35,6 +31,7 @@ scenarios = ["calm"]
 solvers = ["daqp"]
 steps = 6
 """
+)
 
 
 @pytest.fixture(scope="session")

@@ -11,23 +11,22 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.on_worker import make_files
+from tests.bench.deterministic import head
 
 WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
 
-STUDY = """
-title = "Eight seas"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-
+STUDY = (
+    head()
+    + """
 [[study]]
 base = "weather"
 steps = 3
 settings = ["default", "high"]
 replicates = { key = "environment.seed", count = 8 }
 """
+)
 
 
 class Done:

@@ -19,15 +19,11 @@ from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import scenario_of
+from tests.bench.deterministic import head
 
-SUITE = """
-title = "Two horizons"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 2
-
+SUITE = (
+    head(rounds=1, warmup_steps=2)
+    + """
 [[replay]]
 scenario = "paper"
 steps = 12
@@ -39,6 +35,7 @@ policies = ["reuse"]
 families = ["degenerate"]
 sizes = [[5, 8]]
 """
+)
 
 
 def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:

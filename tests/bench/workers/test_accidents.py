@@ -31,18 +31,14 @@ from dpbench.bench.workers import scratch
 from dpbench.bench.workers.jobs import Result
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog"], rounds=1, warmup_steps=0)
+    + f"""
 [[closed_loop]]
 scenarios = ["paper"]
 steps = {STEPS}
@@ -52,6 +48,7 @@ scenario = "paper"
 steps = {STEPS}
 routes = ["qpsolvers", "native"]
 """
+)
 RANDOM = f"""
 [[random]]
 families = ["no_rows"]

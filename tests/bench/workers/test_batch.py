@@ -14,23 +14,21 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers.jobs import CellJob, cell_batches
 from dpbench.solvers import plugins
 from dpbench.solvers.table import Availability
-from tests.bench.deterministic import deterministic
+from tests.bench.deterministic import deterministic, head
 
 pytestmark = pytest.mark.slow
 
 STEPS, CELLS, PER_PROCESS = 6, 24, 6
 """A single slot shares cells out to four processes at least."""
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["clipping"]
-baseline_law = false
-cell_limit_s = 60.0
-
+SUITE = (
+    head(solvers=["clipping"])
+    + f"""
 [[study]]
 base = "paper"
 steps = {STEPS}
 product = {{ "start.east_m" = {[0.5 * (i + 1) for i in range(CELLS)]} }}
 """
+)
 CLIPPING = """
 import os
 from itertools import count

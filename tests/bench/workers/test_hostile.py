@@ -19,23 +19,19 @@ from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, template_conte
 from dpbench.bench.workers.orphans import children_of
 from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 from tests.processes import is_running
 
 HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
-SUITE = """
-title = "A suite for one test"
-solvers = ["hostile", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-cell_memory_gb = 0.3
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["hostile", "quadprog"], cell_memory_gb=0.3, rounds=1, warmup_steps=0)
+    + """
 [[random]]
 families = ["no_rows"]
 sizes = [{sizes}]
 steps = 3
 """
+)
 SOLVER = """
 import os, signal, subprocess, time
 from dpbench.bench.workers.shared_status import Phase, set_phase

@@ -10,18 +10,13 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell_store import CellStore
-from tests.bench.deterministic import assert_same
+from tests.bench.deterministic import assert_same, head
 
 pytestmark = pytest.mark.slow
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0)
+    + """
 [[closed_loop]]
 scenarios = ["paper", "rough"]
 settings = ["default", "high"]
@@ -32,6 +27,7 @@ families = ["no_rows"]
 sizes = [[3, 0], [4, 0]]
 steps = 5
 """
+)
 CELLS, ROWS = 10, 12
 """quadprog has no settings: its two loops and two random problems are cells, and its loops rows
 under two names; daqp has four loops."""

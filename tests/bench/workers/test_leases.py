@@ -22,17 +22,12 @@ from dpbench.locks import BusyError
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
+from tests.bench.deterministic import head
 
 pytestmark = pytest.mark.slow
 
-HEAD = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-"""
+HEAD = head(rounds=1, warmup_steps=0)
+
 LOOPS = HEAD + '[[closed_loop]]\nscenarios = ["paper"]\nsteps = 5\n'
 REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
 OTHERS = "leased_machine({}, Holder('results/other'))"

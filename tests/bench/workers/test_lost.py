@@ -16,19 +16,14 @@ from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-HEAD = """
-title = "A suite for one test"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-"""
+HEAD = head(solvers=["quadprog"], rounds=1, warmup_steps=0)
+
 LOOPS = f"""
 [[closed_loop]]
 scenarios = ["paper"]

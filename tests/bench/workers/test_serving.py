@@ -16,20 +16,14 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers import child as supervise
 from dpbench.solvers import plugins
-from tests.bench.deterministic import deterministic
+from tests.bench.deterministic import deterministic, head
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 6
-HEAD = """
-title = "A suite for one test"
-solvers = ["serving"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 0
-"""
+HEAD = head(solvers=["serving"], rounds=2, warmup_steps=0)
+
 SEQUENCES = ("paper", "calm", "rough")
 SUITE = HEAD + "".join(
     f'\n[[replay]]\nscenario = "{name}"\nsteps = {STEPS}\n' for name in SEQUENCES
