@@ -25,8 +25,8 @@ from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.configurations import identity_of
-from dpbench.bench.plan.run_request import Plan, RunRequest, remarks_on
+from dpbench.bench.plan.configurations import library_identity
+from dpbench.bench.plan.run_request import Plan, RunRequest, plan_remarks
 from dpbench.bench.plan.suite import naming
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
@@ -42,7 +42,7 @@ from dpbench.bench.record.result_folder import (
 from dpbench.bench.sequences.capability_boundary import capability_in
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
-from dpbench.bench.workers.jobs import CellJob, Result, by_source, work_of
+from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
 from dpbench.locks import Patience
@@ -69,27 +69,29 @@ class Campaign:
     ) -> None:
         self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
         self.store = CellStore(out)
-        self.look_into(designs, machine["id"], fresh=fresh)
+        self.attach_designs(designs, machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: available(solver) for solver in solvers}
-        self.work = shard.of_jobs([self._job(p) for p in plan.cells])
+        self.work = shard.of_jobs([self._make_job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
             self.store.forget(RequestedRuns(self.work).jobs)
             SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
         at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
-        self._at_boundary = by_source(at_boundary)
+        self._at_boundary = group_by_source(at_boundary)
         self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
-    def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
+    def attach_designs(
+        self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False
+    ) -> None:
         """Take over the designs of a machine."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
-    def _job(self, planned: PlannedCell) -> CellJob:
+    def _make_job(self, planned: PlannedCell) -> CellJob:
         library = self._libraries[planned.cell.solver]
-        identity = identity_of(planned.cell, library)
+        identity = library_identity(planned.cell, library)
         run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
@@ -97,7 +99,7 @@ class Campaign:
         """Run unfinished cells and write the tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = self.pending()
-        work = sum(work_of(job.cell) for job in pending) + self.designs.work
+        work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         progress.start(work)
         if not work and self._is_written():
             return
@@ -106,7 +108,7 @@ class Campaign:
         self._make_plots(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
         for result in dispatcher.run(pending):
-            self._keep(by_id[result.run_id], result)
+            self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
         self.write(started_utc, time.monotonic() - started_s, engine.remarks)
@@ -123,7 +125,7 @@ class Campaign:
                 pending.append(job)
         return pending
 
-    def _keep(self, job: CellJob, result: Result) -> None:
+    def _store_result(self, job: CellJob, result: Result) -> None:
         """Store the result of a cell, which is lost where there is no room for it."""
         job.outcome = result.outcome
         if result.part is None:
@@ -147,13 +149,13 @@ class Campaign:
             found = load_descriptions(self._out)[1]
         except ResultsError:
             return False
-        asked = json.loads(json.dumps(self._document()))
+        asked = json.loads(json.dumps(self._request_document()))
         same = all(found.get(key) == value for key, value in asked.items())
         if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
         return same and is_tabulated(self.work, self.store)
 
-    def _document(self) -> dict[str, Any]:
+    def _request_document(self) -> dict[str, Any]:
         """Return the request as in `suite.json`."""
         document = self._plan.document.model_dump()
         asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
@@ -180,7 +182,7 @@ class Campaign:
         self.designs.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
-            **self._document(),
+            **self._request_document(),
             "revisions": made_by or revisions(self._earlier_revisions(), revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
@@ -227,7 +229,7 @@ def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
     )
 
 
-def designs_of(plan: Plan) -> list[Design]:
+def plan_suite_designs(plan: Plan) -> list[Design]:
     """Return the designs of a whole suite; a part of it has none."""
     table = None if plan.part else plan.document.design
     with naming(plan.path):
@@ -309,14 +311,14 @@ def run_campaign(
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.of_text(shard)
-    designs = designs_of(plan) if some.index == 1 else []
+    designs = plan_suite_designs(plan) if some.index == 1 else []
     folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
         open_engine(engine, jobs, scheduler, tls, Patience(wait_s)) as opened,
         claimed(folder, plan.name, Patience(wait_s)),
     ):
-        for remark in remarks_on(plan.cells):
+        for remark in plan_remarks(plan.cells):
             progress.remark(remark)
         campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):

@@ -145,8 +145,8 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
     """
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
-    _different("controllers", [controller.name for controller in controllers])
-    _different("vessels", [vessel.stem for vessel in vessels])
+    _check_names("controllers", [controller.name for controller in controllers])
+    _check_names("vessels", [vessel.stem for vessel in vessels])
     return [
         Design(controller.name, _trial_files(controller, vessel))
         for controller in controllers
@@ -154,7 +154,7 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
     ]
 
 
-def _different(key: str, names: Sequence[str]) -> None:
+def _check_names(key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             allowed = "files of different names, each once"
@@ -184,7 +184,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
 
     An offset with a step without a certified optimum does not count as held.
     """
-    scale = _scale(scenario)
+    scale = _model_scale(scenario)
     tail = round(TAIL_S * scale.time / scenario.sample_s)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
@@ -199,7 +199,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     return True
 
 
-def _scale(scenario: Scenario) -> Froude:
+def _model_scale(scenario: Scenario) -> Froude:
     return Froude(float(scenario.files["vessel"]["model_scale"]))
 
 
@@ -270,7 +270,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
     """Write the record of a design to `path`, in a process of its own."""
     pin(core)
     settle()
-    _write(path, Designs((design_record(Design(**json.loads(text))),)))
+    _write_designs(path, Designs((design_record(Design(**json.loads(text))),)))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
@@ -291,7 +291,7 @@ class DesignStudy:
             self._designs[cells / f"design-{key}.json"] = design
         self._reasons: dict[Path, str] = {}
         self.lost: list[str] = []
-        self._pending = [path for path in self._designs if fresh or _record(path) is None]
+        self._pending = [path for path in self._designs if fresh or _read_record(path) is None]
 
     def __len__(self) -> int:
         return len(self._designs)
@@ -318,7 +318,7 @@ class DesignStudy:
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
-        records = {path: _record(path) for path in self._designs}
+        records = {path: _read_record(path) for path in self._designs}
         gone = "its record is gone"
         missing = [
             MissingDesign(design.vessel, design.controller, self._reasons.get(path, gone))
@@ -326,17 +326,17 @@ class DesignStudy:
             if records[path] is None
         ]
         finished = tuple(record for record in records.values() if record is not None)
-        _write(out / DESIGN_FILE, Designs(finished, tuple(missing)))
+        _write_designs(out / DESIGN_FILE, Designs(finished, tuple(missing)))
 
 
-def _write(path: Path, designs: Designs) -> None:
+def _write_designs(path: Path, designs: Designs) -> None:
     write_json(path, asdict(designs))
 
 
-def _record(path: Path) -> DesignRecord | None:
+def _read_record(path: Path) -> DesignRecord | None:
     """Return the record of a finished design; None where it is missing or damaged."""
     try:
-        (record,) = _read(path).records
+        (record,) = _read_designs(path).records
     except (ResultsError, ValueError):
         return None
     return record
@@ -357,10 +357,10 @@ def load_designs(folder: Path) -> Designs | None:
         older = f"{path}: designs of schema {schema} are not shown; run again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
-    return _read(path)
+    return _read_designs(path)
 
 
-def _read(path: Path) -> Designs:
+def _read_designs(path: Path) -> Designs:
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"

@@ -134,7 +134,7 @@ def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estim
     )
 
 
-def rates_of(folder: Path) -> Rates:
+def read_rates(folder: Path) -> Rates:
     """Read the rates of the runs in a result folder; `STATED` where it has none."""
     try:
         runs = load_results(folder, without_steps=True).runs
@@ -172,4 +172,4 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()
-    return estimated(plan.cells, count_slots(jobs), rates_of(default_folder(plan, out)))
+    return estimated(plan.cells, count_slots(jobs), read_rates(default_folder(plan, out)))

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.bench.campaign import Campaign, designs_of
+from dpbench.bench.campaign import Campaign, plan_suite_designs
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -34,7 +34,7 @@ from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
 _WHERE = "gather"
-_BESIDE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
+_EXTRA_FILE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
 """Files of a folder of cells that are shown too: designs, and capability plots with their QPs."""
 
 
@@ -64,13 +64,13 @@ def gather(
     """
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
-    plan, records = _plan_of(shards, suite, solver_module), list(shards.values())
-    designs, remarks = designs_of(plan), _missing(records)
+    plan, records = _make_plan(shards, suite, solver_module), list(shards.values())
+    designs, remarks = plan_suite_designs(plan), _missing_shards(records)
     with claimed(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
-        finished, ignored = _collected(list(shards), Path(out), plan.name)
+        finished, ignored = _collect_cells(list(shards), Path(out), plan.name)
         remarks += ignored
-        machine, others = _machines(records, finished)
+        machine, others = _rank_machines(records, finished)
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
@@ -80,9 +80,9 @@ def gather(
         campaign = Campaign(plan, designs, Path(out), machine)
         for record in records:
             if record.shard.index == 1:
-                campaign.look_into(designs, record.machine["id"])
-        said = {cell: outcome for folder in shards for cell, outcome in _unfinished(folder)}
-        _as_found(campaign.work, finished, said, machine["id"])
+                campaign.attach_designs(designs, record.machine["id"])
+        said = {cell: outcome for folder in shards for cell, outcome in _read_unfinished(folder)}
+        _apply_finished(campaign.work, finished, said, machine["id"])
         campaign.pending()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
@@ -90,7 +90,7 @@ def gather(
     return Path(out)
 
 
-def _plan_of(
+def _make_plan(
     shards: Mapping[Path, ShardRecord],
     suite: str | Path | None,
     solver_module: str | Path | None,
@@ -122,7 +122,7 @@ def _plan_of(
     return plan
 
 
-def _missing(shards: Sequence[ShardRecord]) -> list[str]:
+def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
     """Return a line on missing shards."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
@@ -133,7 +133,7 @@ def _missing(shards: Sequence[ShardRecord]) -> list[str]:
     return [f"shards that are not among them: {named}"] if absent else []
 
 
-def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
+def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
     """Return the rows of all finished cells, copied into `out`, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
@@ -142,14 +142,14 @@ def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFr
         _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
         for other in others:
             store.adopt(other)
-            for path in filter(_is_beside, other.folder.iterdir()):
+            for path in filter(_is_extra_file, other.folder.iterdir()):
                 write_bytes(store.folder / path.name, path.read_bytes())
         return store.rows(), [line for one in (store, *others) for line in one.remarks]
 
 
-def _is_beside(path: Path) -> bool:
+def _is_extra_file(path: Path) -> bool:
     """Return whether a file is a design or a capability plot, and no link."""
-    return _BESIDE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
+    return _EXTRA_FILE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
 def _refuse_versions(rows: pd.DataFrame) -> None:
@@ -161,7 +161,7 @@ def _refuse_versions(rows: pd.DataFrame) -> None:
             raise InputError(_WHERE, str(solver), found, "one version of a solver")
 
 
-def _machines(
+def _rank_machines(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
 ) -> tuple[MachineDescription, list[MachineDescription]]:
     """Return the machine of most timed replays, or else of most cells; and the others."""
@@ -174,7 +174,7 @@ def _machines(
     return known.pop(first), list(known.values())
 
 
-def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
+def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
     """Yield the descriptions and outcomes of cells that a shard could not finish."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
@@ -186,7 +186,7 @@ def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
                 yield str(cell), Outcome(str(outcome), str(detail))
 
 
-def _as_found(
+def _apply_finished(
     jobs: Sequence[CellJob],
     finished: pd.DataFrame,
     said: Mapping[str, Outcome],

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, rates_of
+from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, read_rates
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
@@ -77,7 +77,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "by the runs in mine"
-    runs, found = load_results("mine").runs, rates_of(Path("mine"))
+    runs, found = load_results("mine").runs, read_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3
     took_s = runs[runs["mode"] == "closed_loop"]["replay_s"].sum()
@@ -89,6 +89,6 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
 
 
 def test_without_a_folder_rates_are_stated(tmp_path: Path) -> None:
-    assert rates_of(tmp_path) == rates_of(tmp_path / "none") == STATED
+    assert read_rates(tmp_path) == read_rates(tmp_path / "none") == STATED
     (tmp_path / "runs.parquet").write_bytes(b"no table")
-    assert rates_of(tmp_path) == STATED
+    assert read_rates(tmp_path) == STATED

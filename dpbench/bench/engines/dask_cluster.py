@@ -27,7 +27,7 @@ from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import hidden_main_module
-from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
+from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
 
@@ -81,7 +81,7 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
     ----------
     tls : by default as in Dask's configuration.
     """
-    with _quiet():
+    with _silence_dask():
         security = Security() if tls is None else _security(address, tls)
         try:
             _check_reachable(address)
@@ -92,7 +92,7 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
         try:
             # In a thread: a notebook has a loop of its own in this one.
             with ThreadPoolExecutor(1) as pool:
-                pool.submit(asyncio.run, _greet(address, security)).result()
+                pool.submit(asyncio.run, _connect_once(address, security)).result()
             client = Client(address, security=security, timeout=RETURN_S, set_as_default=False)
         # Those that are no OSError: one of both wants TLS, and the other has none.
         except (OSError, TypeError, RuntimeError) as error:
@@ -111,7 +111,7 @@ def _check_reachable(address: str) -> None:
         pass
 
 
-async def _greet(address: str, security: Security) -> None:
+async def _connect_once(address: str, security: Security) -> None:
     """Connect once, as a refused client leaves threads behind."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
@@ -143,23 +143,23 @@ def _security(address: str, tls: TlsFiles) -> Security:
 
 
 @contextmanager
-def own_cluster(workers: int) -> Iterator[Client]:
+def start_own_cluster(workers: int) -> Iterator[Client]:
     """Start so many workers on this machine, one of which times replays."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
-        with signals_wait():
+        with delay_signals():
             client = stack.enter_context(_own_cluster(workers))
         yield client
     finally:
-        with signals_wait():
+        with delay_signals():
             stack.close()
 
 
 @contextmanager
 def _own_cluster(workers: int) -> Iterator[Client]:
     with (
-        _quiet(),
+        _silence_dask(),
         hidden_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
@@ -182,7 +182,7 @@ def _own_cluster(workers: int) -> Iterator[Client]:
             for i in range(workers)
         }
         scheduler = {"cls": OwnScheduler, "options": {**closed, "dashboard": False}}
-        with terminal_signals_blocked():
+        with block_terminal_signals():
             cluster = SpecCluster(spec, scheduler, security=security, silence_logs=logging.CRITICAL)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
@@ -214,7 +214,7 @@ class Cluster:
         self._refused: set[str] = set()
         self.concurrency, self.addresses = 1, frozenset[str]()
         client.wait_for_workers(1)
-        for error in self._look():
+        for error in self._update_workers():
             raise error
         workers = {address: self._workers[address] for address in self._infos}
         exclusive = [a for a, w in workers.items() if w["resources"].get(EXCLUSIVE, 0) >= 1]
@@ -234,7 +234,7 @@ class Cluster:
         Nothing changes where the scheduler does not answer, or has none.
         """
         try:
-            return [f"a worker is given no cells: {error}" for error in self._look()]
+            return [f"a worker is given no cells: {error}" for error in self._update_workers()]
         except OSError:
             return []
 
@@ -248,7 +248,7 @@ class Cluster:
             time.sleep(0.1)
         return False
 
-    def _look(self) -> list[InputError]:
+    def _update_workers(self) -> list[InputError]:
         """Update the workers; return the reasons why new ones are refused."""
         if self.client.status != "running":
             return []
@@ -261,7 +261,7 @@ class Cluster:
             if isinstance(answer, OSError):
                 continue  # it went, or does not answer yet
             try:
-                infos[address] = _checked(address, answer)
+                infos[address] = _check_worker(address, answer)
             except InputError as error:
                 refused.append(error)
                 self._refused.add(address)
@@ -275,7 +275,7 @@ class Cluster:
         return refused
 
 
-def _checked(address: str, answer: object) -> WorkerInfo:
+def _check_worker(address: str, answer: object) -> WorkerInfo:
     """Return the information of a worker; InputError where it cannot run cells."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
@@ -291,7 +291,7 @@ def _checked(address: str, answer: object) -> WorkerInfo:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_dask() -> Iterator[None]:
     """Silence Dask on lost workers and connections, which a campaign reports itself."""
     loggers = [logging.getLogger("tornado.application"), logging.getLogger("distributed")]
     quiet: list[logging.Logger | logging.Handler] = [loggers[0], *loggers[1].handlers]

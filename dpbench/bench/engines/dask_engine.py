@@ -19,7 +19,7 @@ from uuid import uuid4
 
 from distributed import CancelledError, Future, KilledWorker
 
-from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connected, own_cluster
+from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connected, start_own_cluster
 from dpbench.bench.engines.engine import (
     BATCHES_AHEAD,
     Completed,
@@ -32,8 +32,8 @@ from dpbench.bench.engines.on_worker import (
     MadeFile,
     make_files,
     results_of,
+    return_file,
     run_cells,
-    sent_file,
 )
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
@@ -102,7 +102,7 @@ class DaskEngine(ExitStack):
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
         self._context = CampaignContext(solvers=tuple(solvers_of(jobs)), modules=texts)
         if self._cluster is None:
-            client = self.enter_context(own_cluster(self._workers))
+            client = self.enter_context(start_own_cluster(self._workers))
             self._cluster = Cluster(client, is_own=True)
         if (kinds := self._cluster.kinds) > 1:
             progress.remark(f"workers on {kinds} kinds of machines: replays of one kind are ranked")
@@ -225,7 +225,7 @@ class DaskEngine(ExitStack):
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                made[str(path)] = self._submit(sent_file, _read_source(cell, path), name="source")
+                made[str(path)] = self._submit(return_file, _read_source(cell, path), name="source")
                 del texts[path]
         if texts:
             together = self._submit_files(batch, texts)

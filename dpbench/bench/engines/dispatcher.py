@@ -24,11 +24,11 @@ from dpbench.bench.workers.jobs import (
     Result,
     Target,
     batch_seconds,
-    by_source,
     cell_batches,
-    in_groups,
-    name_of,
-    work_of,
+    cell_label,
+    count_steps,
+    cut_into_groups,
+    group_by_source,
 )
 from dpbench.bench.workers.worker import make_source
 
@@ -58,8 +58,8 @@ class Dispatcher:
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
         """Run cells; yield the result of each, once."""
         self._uses = Counter(job.source_key for job in jobs)
-        for kind, alike in _by_kind(jobs):
-            self._of_key = by_source(alike)
+        for kind, alike in _split_by_kind(jobs):
+            self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
             self._waiting.extend(cell_batches(kind, alike, self._engine.slots))
             for batch, results in self._completed():
@@ -126,7 +126,7 @@ class Dispatcher:
         """Yield batches of sources, each as long as its longest cell needs."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
-        for group in in_groups(keys, seconds.__getitem__, size_s):
+        for group in cut_into_groups(keys, seconds.__getitem__, size_s):
             cells = {self._sources.path(key): longest(self._of_key[key]) for key in group}
             texts = {path: cell.to_json() for path, cell in cells.items()}
             yield FileBatch(make_source, texts, are_sources=True)
@@ -140,18 +140,18 @@ class Dispatcher:
                 continue
             failed = [job for job in batch.jobs if job.source_key in self._failed]
             if failed:
-                results = [_without_source(job, self._failed[job.source_key]) for job in failed]
+                results = [_sourceless_result(job, self._failed[job.source_key]) for job in failed]
                 yield CellBatch(batch.kind, failed), results
             batch.jobs = [job for job in batch.jobs if job.source_key not in self._failed]
             if batch.jobs:
                 self._ready.append(batch)
 
     def _hand_over(self) -> None:
-        while self._ready and self._fits(self._ready[0]):
+        while self._ready and self._may_run_beside(self._ready[0]):
             self._engine.submit(self._ready[0])
             self._in_flight.add(self._ready.popleft())
 
-    def _fits(self, batch: Batch) -> bool:
+    def _may_run_beside(self, batch: Batch) -> bool:
         """Return whether a batch may run beside those that the engine has."""
         if not self._in_flight:
             return True
@@ -185,7 +185,7 @@ class Dispatcher:
             self._waiting.appendleft(CellBatch(batch.kind, [*again.values()]))
         for result in results:
             if result.run_id not in again:
-                self._count(batch, jobs[result.run_id])
+                self._count_result(batch, jobs[result.run_id])
                 yield result
 
     def _is_damaged(self, job: CellJob) -> bool:
@@ -195,11 +195,11 @@ class Dispatcher:
             return False
         return key in self._remade or not self._engine.has_source(key, longest(self._of_key[key]))
 
-    def _count(self, batch: CellBatch, job: CellJob) -> None:
+    def _count_result(self, batch: CellBatch, job: CellJob) -> None:
         """Show the work of a finished cell; release its source behind the last one."""
-        shown = min(batch.shown_work, work_of(job.cell))
+        shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
-        self._progress.advance(work_of(job.cell) - shown, name_of(job.cell))
+        self._progress.advance(count_steps(job.cell) - shown, cell_label(job.cell))
         key = job.source_key
         self._left[key] -= 1
         self._uses[key] -= 1
@@ -257,7 +257,7 @@ def longest(jobs: Sequence[CellJob]) -> Cell:
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
-def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
+def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
     """Yield cells in the order they run: nothing runs beside timed ones."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
@@ -265,7 +265,7 @@ def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
     yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
 
 
-def _without_source(job: CellJob, outcome: Outcome) -> Result:
+def _sourceless_result(job: CellJob, outcome: Outcome) -> Result:
     """Return the result of a cell without QPs."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"

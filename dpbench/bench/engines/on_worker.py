@@ -25,7 +25,7 @@ from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
-from dpbench.bench.workers.leases import leased_core
+from dpbench.bench.workers.leases import lease_core
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
 from dpbench.solvers.table import available
@@ -80,7 +80,7 @@ _ENDING = threading.Lock()
 
 
 @contextmanager
-def _task() -> Iterator[None]:
+def _registered_task() -> Iterator[None]:
     """Let `end_tasks` end the block."""
     thread = threading.get_ident()
     with _ENDING:
@@ -100,7 +100,7 @@ def end_tasks() -> None:
             set_error(ctypes.c_ulong(thread), ctypes.py_object(TaskEndedError))
 
 
-@_task()
+@_registered_task()
 def make_files(
     context: CampaignContext,
     target: Target,
@@ -110,18 +110,18 @@ def make_files(
     isolated: bool,
 ) -> dict[str, MadeFile]:
     """Make files from their descriptions by path, on a core of this machine, as a `FileBatch`."""
-    with leased_core() as core, _executor(context, [core]) as (executor, folder):
+    with lease_core() as core, _executor(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
         results = _completed(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
-        return {paths[Path(r.run_id)]: _made(Path(r.run_id), r.outcome) for r in results}
+        return {paths[Path(r.run_id)]: _made_file(Path(r.run_id), r.outcome) for r in results}
 
 
-def _made(path: Path, outcome: Outcome) -> MadeFile:
+def _made_file(path: Path, outcome: Outcome) -> MadeFile:
     return MadeFile(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
 
 
-def sent_file(made: MadeFile) -> MadeFile:
+def return_file(made: MadeFile) -> MadeFile:
     """Return a file of the campaign's machine."""
     return made
 
@@ -131,7 +131,7 @@ def results_of(made: Mapping[str, MadeFile | None]) -> list[Result]:
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
-@_task()
+@_registered_task()
 def run_cells(
     context: CampaignContext,
     batch: CellBatch,
@@ -148,13 +148,13 @@ def run_cells(
     alone : whether they have all cores of this machine, or one.
     concurrency : of timed replays, see the column of that name.
     """
-    results = [*_of_other_solvers(batch.jobs)]
+    results = [*_lose_other_versions(batch.jobs)]
     known = {result.run_id for result in results}
     jobs = [job for job in batch.jobs if job.run_id not in known]
     if not jobs:
         return results
     with ExitStack() as stack:
-        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
+        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
         executor, folder = stack.enter_context(_executor(context, cores, concurrency))
         paths = {key: folder / f"exact-{key}.npz" for key in sources}
         for key, path in paths.items():
@@ -171,13 +171,13 @@ def _completed(
     return results
 
 
-def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
+def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
     """Yield lost results of jobs with another solver version than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        identity = wanted if job.cell.solver_module else _identity(job.cell.solver)
+        identity = wanted if job.cell.solver_module else _library_identity(job.cell.solver)
         if identity != wanted:
             where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
@@ -185,7 +185,7 @@ def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
 
 
 @cache
-def _identity(solver: str) -> str:
+def _library_identity(solver: str) -> str:
     return available(solver).identity
 
 

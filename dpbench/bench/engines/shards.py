@@ -17,10 +17,10 @@ from dpbench.bench.record.result_folder import MachineDescription, read_json, va
 from dpbench.bench.workers.jobs import (
     BATCH_CELLS,
     CellJob,
-    by_source,
     configuration_key,
+    count_steps,
+    group_by_source,
     interleaved,
-    work_of,
 )
 from dpbench.errors import InputError
 
@@ -66,19 +66,19 @@ class Shard:
         """
         if self == WHOLE:
             return jobs
-        share = sum(_work(job) for job in jobs) / self.count
+        share = sum(_job_steps(job) for job in jobs) / self.count
         bundles = []
-        for alike in by_source(jobs).values():
-            whole = sum(map(_work, alike)) <= share
-            bundles += [alike] if whole else _units(alike)
+        for alike in group_by_source(jobs).values():
+            whole = sum(map(_job_steps, alike)) <= share
+            bundles += [alike] if whole else _smallest_groups(alike)
         # The largest first, each to whoever has least: a cell's own text settles who that is.
-        bundles.sort(key=lambda some: (-sum(map(_work, some)), some[0].cell.to_json()))
+        bundles.sort(key=lambda some: (-sum(map(_job_steps, some)), some[0].cell.to_json()))
         loads = [(0, part) for part in range(1, self.count + 1)]
         heapify(loads)
         mine: set[str] = set()
         for some in bundles:
             load, part = loads[0]
-            heapreplace(loads, (load + sum(map(_work, some)), part))
+            heapreplace(loads, (load + sum(map(_job_steps, some)), part))
             if part == self.index:
                 mine |= {job.run_id for job in some}
         return [job for job in jobs if job.run_id in mine]
@@ -87,11 +87,11 @@ class Shard:
 WHOLE = Shard(1, 1)
 
 
-def _work(job: CellJob) -> int:
-    return work_of(job.cell)
+def _job_steps(job: CellJob) -> int:
+    return count_steps(job.cell)
 
 
-def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
+def _smallest_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Return jobs of one source in the smallest groups that stay together."""
     units = interleaved([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}

@@ -12,9 +12,9 @@ from dpbench.bench.capability.frontier import DIRECTIONS, Frontier
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
-    configurations_of,
+    find_refusal,
+    list_configurations,
     module_of,
-    refusal_of,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -60,7 +60,7 @@ class PlannedCell:
     alias_settings: tuple[str, ...] = ()
 
 
-def cell_of(
+def plan_cell(
     configuration: Configuration,
     suite: SuiteFile,
     table: Table,
@@ -88,11 +88,11 @@ def cell_of(
         memory_gb=suite.cell_memory_gb,
         **fields,
     )
-    planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)
+    planned = PlannedCell(cell, find_refusal(configuration), configuration.alias)
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
-    return _if_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
+    return _refuse_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
 
 
 def replay_cells(
@@ -105,7 +105,7 @@ def replay_cells(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """Return the cells of a replay of so many steps; arguments as of `cell_of`.
+    """Return the cells of a replay of so many steps; arguments as of `plan_cell`.
 
     Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
     share of the budgets of its stretch, and a short warm-up.
@@ -118,7 +118,7 @@ def replay_cells(
         }
     most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
@@ -130,7 +130,7 @@ def replay_cells(
             warmup_steps=min(most, steps),
             **fields,
         )
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
     ]
 
@@ -173,7 +173,7 @@ def recorded_cells(
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
         strict = all(positive_definite(P) for P in matrices)
-        cells += planned if strict else map(_if_semidefinite, planned)
+        cells += planned if strict else map(_refuse_semidefinite, planned)
     return cells
 
 
@@ -197,7 +197,7 @@ def capability_cells(
     return [replace(planned, cell=replace(planned.cell, rounds=1)) for planned in cells]
 
 
-def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
+def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
     """Return the cell, refused if its solver needs P > 0."""
     needs = record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
@@ -208,9 +208,9 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
-    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
+    return [_cell_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
 
 
-def _of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
+def _cell_of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
     planned = replace(blank, cell=replace(blank.cell, source=RandomSource.of(recipe)))
-    return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned
+    return _refuse_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned

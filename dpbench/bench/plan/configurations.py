@@ -39,11 +39,11 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     UnknownNameError : for an unknown solver.
     InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
-    named = _asked("solvers", suite.solvers)
+    named = _solvers_of_key("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
-            if table.solvers and not set(_asked(key, table.solvers)) & set(named):
+            if table.solvers and not set(_solvers_of_key(key, table.solvers)) & set(named):
                 found = ", ".join(table.solvers)
                 allowed = f"a solver of the suite: {one_of(found, named)}"
                 raise InputError("suite", key, found, allowed)
@@ -51,7 +51,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if baseline is not None and baseline not in named:
         allowed = f"a solver of the suite: {one_of(baseline, named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
-    chosen = _named(only) if only else named
+    chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
@@ -59,30 +59,30 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _asked(key: str, names: Sequence[str]) -> list[str]:
+def _solvers_of_key(key: str, names: Sequence[str]) -> list[str]:
     """Return the solvers that a key of a suite names."""
     try:
-        return _named(names)
+        return _expand_names(names)
     except UnknownNameError as error:
         raise UnknownNameError("suite", key, error.found, error.allowed) from error
 
 
-def _named(names: Sequence[str]) -> list[str]:
+def _expand_names(names: Sequence[str]) -> list[str]:
     """Return the solvers of some names, with "all" expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if s != BASELINE_LAW and _by_default(s)]
+            chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
         else:
             chosen.append(record(name).name)
     return list(dict.fromkeys(chosen))
 
 
-def _by_default(solver: str) -> bool:
+def _is_default_solver(solver: str) -> bool:
     return record(solver).extra not in ("jax", "casadi") or available(solver).ok
 
 
-def checked_backup(name: str) -> tuple[str, str]:
+def check_backup(name: str) -> tuple[str, str]:
     """Return the backup of a closed loop and why it cannot be opened here, "" for neither.
 
     Raises
@@ -92,7 +92,7 @@ def checked_backup(name: str) -> tuple[str, str]:
     """
     if not name:
         return "", ""
-    (solver,) = _asked("closed_loop.backup", [name]) if name != "all" else ("",)
+    (solver,) = _solvers_of_key("closed_loop.backup", [name]) if name != "all" else ("",)
     if not solver or module_of(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
@@ -100,7 +100,7 @@ def checked_backup(name: str) -> tuple[str, str]:
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
-def identity_of(cell: Cell, library: Availability) -> str:
+def library_identity(cell: Cell, library: Availability) -> str:
     """Return version and build of the library of a cell's solver, and of its backup's."""
     if not cell.backup:
         return library.identity
@@ -113,13 +113,13 @@ def module_of(solver: str) -> str:
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
-def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuration]:
+def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
     """Return the configurations of one table of a suite, on the routes each solver has.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
     have one mode, whatever the table has, and take part in timed replays alone.
     """
-    solvers = _taking_part(solvers, table)
+    solvers = _select_participants(solvers, table)
     if not solvers:
         return []
     for name in table.settings:
@@ -151,16 +151,16 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
 
-def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
+def _select_participants(solvers: Sequence[str], table: Table) -> list[str]:
     """Return the suite's solvers that a table means."""
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
-    named = _named(table.solvers) if table.solvers else solvers
-    without = _named(table.without)
+    named = _expand_names(table.solvers) if table.solvers else solvers
+    without = _expand_names(table.without)
     return [name for name in solvers if name in named and name not in without]
 
 
-def refusal_of(configuration: Configuration) -> str:
+def find_refusal(configuration: Configuration) -> str:
     """Return why a configuration cannot run; "" where it can."""
     here = available(configuration.solver)
     if not here.ok:

@@ -9,16 +9,16 @@ from pathlib import Path
 from dpbench.bench.plan.cells import (
     PlannedCell,
     capability_cells,
-    cell_of,
+    plan_cell,
     random_cells,
     recorded_cells,
     replay_cells,
 )
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
-    checked_backup,
+    check_backup,
     choose_solvers,
-    configurations_of,
+    list_configurations,
 )
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
@@ -54,8 +54,8 @@ def plan(
             allowed = one_of(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
-    swept = _under_horizons(suite, loaded)
-    stems = _different_names([*loaded.values(), *swept.values()])
+    swept = _load_horizon_variants(suite, loaded)
+    stems = _check_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[PlannedCell] = []
     for closed in suite.closed_loop:
@@ -78,10 +78,10 @@ def plan(
     if not cells:
         allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
-    return _merged(cells)
+    return _merge_equal_cells(cells)
 
 
-def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
+def _check_names(scenarios: Sequence[Scenario]) -> list[str]:
     """Return their names; InputError when two have the same."""
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
@@ -91,7 +91,7 @@ def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
     return stems
 
 
-def _under_horizons(
+def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
     """Return the scenarios of the replays under each pair of horizons of a table."""
@@ -99,7 +99,7 @@ def _under_horizons(
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
-def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
+def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
     """Return each cell once, with all names of its settings.
 
     Two tables may have the same cell, e.g. by its route's name and as the default one.
@@ -121,12 +121,12 @@ def _closed_loop_cells(
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
-    backup, missing = checked_backup(table.backup)
+    backup, missing = check_backup(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
     cells = [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
@@ -140,7 +140,7 @@ def _closed_loop_cells(
             deadline_s=table.deadline_s,
         )
         for slowdown in table.slowdowns
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]

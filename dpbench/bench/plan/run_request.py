@@ -64,7 +64,7 @@ class RunRequest:
         """Return the requested cells; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
-        name, path, document = self._suite()
+        name, path, document = self._load_request()
         chosen = {"scenarios": self.scenarios, "settings": self.settings}
         document = with_choices(document, steps=self.steps, **chosen)
         with naming(path, chosen=bool(self.settings)):
@@ -75,7 +75,7 @@ class RunRequest:
         return Plan(name, path, document, cells, part)
 
     @property
-    def _file(self) -> Path | None:
+    def _suite_file(self) -> Path | None:
         """File of the suite; None where it has a name, or is none."""
         named = self.suite is None or not self.suite.endswith(".toml")
         return None if named else Path(str(self.suite))
@@ -83,14 +83,14 @@ class RunRequest:
     @property
     def is_here(self) -> bool:
         """Whether the suite can be read on this machine."""
-        return self._file is None or self._file.is_file()
+        return self._suite_file is None or self._suite_file.is_file()
 
     def from_anywhere(self) -> RunRequest:
         """Return the request with an absolute path of its suite."""
-        file = self._file
+        file = self._suite_file
         return self if file is None else replace(self, suite=str(file.resolve()))
 
-    def _suite(self) -> tuple[str, Path, SuiteFile]:
+    def _load_request(self) -> tuple[str, Path, SuiteFile]:
         """Return name, file and document of the suite, or of one that replays a sequence."""
         if self.suite is not None and self.sequence is None:
             path, document = load_suite(self.suite)
@@ -132,18 +132,18 @@ def with_choices(
     }
     if not set(asked) <= set(suite.scenario_names):
         tables["closed_loop"] = [
-            _changed(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
+            _copy_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
         ]
         tables["replay"] = [
-            _changed(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+            _copy_with(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
         ]
     if settings:
         for key, own in tables.items():
-            tables[key] = [_changed(t, settings=list(settings)) for t in own]
+            tables[key] = [_copy_with(t, settings=list(settings)) for t in own]
     if steps is not None:
         for key in ("closed_loop", "replay", "study"):
-            tables[key] = [_changed(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
-        tables["replay"] = [_changed(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+            tables[key] = [_copy_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
+        tables["replay"] = [_copy_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
     if not (scenarios or settings or steps is not None):
         return suite
     # Tables may have become equal.
@@ -151,17 +151,17 @@ def with_choices(
         key: [table for i, table in enumerate(own) if table not in own[:i]]
         for key, own in tables.items()
     }
-    return _changed(suite, **once)
+    return _copy_with(suite, **once)
 
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def _changed(model: Model, **update: object) -> Model:
+def _copy_with(model: Model, **update: object) -> Model:
     return model.model_copy(update=update)
 
 
-def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
+def plan_remarks(planned: Sequence[PlannedCell]) -> list[str]:
     """Return the limits of what the plan can answer."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]

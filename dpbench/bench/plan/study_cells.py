@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dpbench.bench.plan.cells import PlannedCell, cell_of
-from dpbench.bench.plan.configurations import BASELINE_LAW, configurations_of
-from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, points_of
+from dpbench.bench.plan.cells import PlannedCell, plan_cell
+from dpbench.bench.plan.configurations import BASELINE_LAW, list_configurations
+from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, list_points
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import StudyRealisation
 from dpbench.errors import InputError
@@ -31,13 +31,13 @@ def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -
         if titles.count(table.title) > 1:
             allowed = "a name of its own for each study of a suite"
             raise InputError("suite", "study.name", f"two studies called {table.title!r}", allowed)
-        cells += _cells_of(suite, table, f"suite: study {table.title}", solvers, beside)
+        cells += _plan_study(suite, table, f"suite: study {table.title}", solvers, beside)
         if len(cells) > MOST_CELLS:
             raise InputError("suite", "study", f"{len(cells)} cells", f"at most {MOST_CELLS}")
     return cells
 
 
-def _cells_of(
+def _plan_study(
     suite: SuiteFile,
     table: StudyTable,
     where: str,
@@ -47,26 +47,26 @@ def _cells_of(
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: value_of(base, key, where) for key in keys}
-    points = points_of(table, own)
-    scenarios = _Scenarios(base, where, beside)
+    points = list_points(table, own)
+    scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)
-    blanks = _blanks(suite, table, base, solvers)
+    blanks = _plan_base_cells(suite, table, base, solvers)
     return [
-        _at(blank, table, point, *documents)
+        _cell_at_point(blank, table, point, *documents)
         for point in points
         for documents in (scenarios.documents(point),)
         for blank in blanks
     ]
 
 
-def _blanks(
+def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
     """Return the cells of the base scenario, one for each configuration."""
     ways = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **ways)
     cells = [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             loops,
@@ -74,7 +74,7 @@ def _blanks(
             scenario=base.files,
             steps=1,
         )
-        for configuration in configurations_of(solvers, loops)
+        for configuration in list_configurations(solvers, loops)
     ]
     # The baseline law does not look at settings or policies: it runs once, under one name.
     once = ("default", "fresh")
@@ -85,7 +85,7 @@ def _blanks(
     ]
 
 
-def _at(
+def _cell_at_point(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, files: ScenarioDocuments, steps: int
 ) -> PlannedCell:
     """Return the cell of a configuration at a point with these documents and steps."""
@@ -98,7 +98,7 @@ def _at(
     return replace(blank, cell=cell)
 
 
-class _Scenarios:
+class _ScenarioCache:
     """The scenario of a study at its points; the latest stays, shared by configurations."""
 
     def __init__(self, base: Scenario, where: str, beside: Path | None) -> None:
@@ -142,7 +142,7 @@ class _Scenarios:
 
 
 def _refuse_idle_keys(
-    table: StudyTable, points: Sequence[StudyPoint], scenarios: _Scenarios
+    table: StudyTable, points: Sequence[StudyPoint], scenarios: _ScenarioCache
 ) -> None:
     """Raise InputError for a key of which two values make no difference.
 

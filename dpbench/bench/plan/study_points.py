@@ -154,7 +154,7 @@ class StudyPoint:
     of_replicate: Point
 
 
-def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
+def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     """Return all points of a study, each with all its replicates.
 
     Parameters
@@ -168,7 +168,7 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     if table.design is not None:
         names = list(table.design.ranges)
         rows: Sequence[Sequence[float]] = table.design.draws().tolist()
-        axes.append([_typed(dict(zip(names, row, strict=True)), own) for row in rows])
+        axes.append([_round_whole_numbers(dict(zip(names, row, strict=True)), own) for row in rows])
     merged: list[Point] = [
         {key: value for part in parts for key, value in part.items()} for parts in product(*axes)
     ]
@@ -181,7 +181,7 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     ]
 
 
-def _typed(drawn: Point, own: Mapping[str, object]) -> Point:
+def _round_whole_numbers(drawn: Point, own: Mapping[str, object]) -> Point:
     """Return draws with whole numbers where the scenario has a whole number."""
     whole = {key for key in drawn if isinstance(own.get(key), int)}
     return {key: round(value) if key in whole else value for key, value in drawn.items()}

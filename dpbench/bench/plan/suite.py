@@ -26,22 +26,22 @@ Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
-def _off_or_slower(value: float) -> float:
+def _check_slowdown(value: float) -> float:
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
-def _known_fallback(name: str) -> str:
+def _check_fallback(name: str) -> str:
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
 
 
 Fallback = Annotated[
-    str, AfterValidator(_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+    str, AfterValidator(_check_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
 ]
-Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
+Slowdown = Annotated[float, AfterValidator(_check_slowdown)]
 
 
 class DemandTable(FileModel):
@@ -304,7 +304,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     return path, parse_model(document, SuiteFile, str(path))
 
 
-_WAY: dict[str, Collection[str]] = {
+_MODE_VALUES: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(Policy),
     "settings": LEVELS,
@@ -320,10 +320,13 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
     """
     ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    worst_case = {key: meta.get(f"worst_case_{key}") for key in _WAY}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _MODE_VALUES}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
-    if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
+    if all(
+        name in known
+        for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
+    ):
         ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
         report = _searched_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
@@ -336,6 +339,6 @@ def _searched_step(meta: Mapping[str, object]) -> ReportTable:
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    way = [str(meta.get(f"worst_case_{key}")) for key in _WAY]
+    way = [str(meta.get(f"worst_case_{key}")) for key in _MODE_VALUES]
     settings = "" if way[2] == "default" else f", {way[2]}"
     return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")

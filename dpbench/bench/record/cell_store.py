@@ -32,14 +32,14 @@ from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     NO_RUNS,
     BatchPart,
+    complete_runs,
+    complete_steps,
     encode_steps,
     filter_runs,
     frame_of_runs,
     part_of,
     runs_in,
     runs_table,
-    stored_runs,
-    stored_steps,
     write_runs,
 )
 from dpbench.errors import InputError
@@ -57,12 +57,16 @@ COPIED_ROWS = 2**12
 CHECKED_ROWS = 512
 """Rows of runs that are looked through at a time."""
 _FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
-_CHECK = "steps_crc32"
+_CHECKSUM_KEY = "steps_crc32"
 """What the metadata of `runs.parquet` say of the file of its steps."""
 _PART = re.compile(r"part-(?P<number>\d{5}|[1-9]\d{5,8})-(?P<crc32>[0-9a-f]{8})\.parquet")
-_LEFT_OVER = re.compile(r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz")
+_UNFINISHED_FILE = re.compile(
+    r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz"
+)
 """What a file is called before it is whole."""
-_OWN = re.compile(rf"{_PART.pattern}|{_LEFT_OVER.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+")
+_OWN_FILE = re.compile(
+    rf"{_PART.pattern}|{_UNFINISHED_FILE.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+"
+)
 """The names of all files that campaigns write beside their cells."""
 
 
@@ -85,7 +89,7 @@ class StepGroup:
 
     def table(self) -> pa.Table:
         """Return these steps (`FILE_SCHEMA`); one of `DAMAGE` where they cannot be read."""
-        return filter_runs(stored_steps(self.read()), set(self.names))
+        return filter_runs(complete_steps(self.read()), set(self.names))
 
 
 class Source(ABC):
@@ -158,7 +162,7 @@ class PublicTables(Source):
             # descriptions of cells are long. Threads would cost more than they save.
             for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
                 table = in_full(pa.Table.from_batches([batch]), self.runs)
-                yield _finished(stored_runs(table))
+                yield _select_finished(complete_runs(table))
 
     def names(self) -> list[str]:
         """Return the run_ids of all its rows, in order."""
@@ -174,13 +178,13 @@ class PublicTables(Source):
             metadata = pq.read_metadata(self.runs).metadata or {}
         except DAMAGE:
             return False
-        return metadata.get(_CHECK.encode()) == b"%08x" % _check_sum(self.steps)
+        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _file_checksum(self.steps)
 
     def write(self, rows: pa.Table, steps: StepFile) -> None:
         """Put a file of steps in place, and then the rows."""
         steps.close()
         put(steps.path, self.steps)
-        write_runs(self.runs, rows, {_CHECK: f"{steps.crc32:08x}"})
+        write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
         """Remove its files."""
@@ -203,13 +207,13 @@ class Part(Source):
             with opened(self.steps) as file:
                 columns = runs_in(pq.read_metadata(file).metadata)
             self._cells = len(columns["run_id"])
-            self._rows = _finished(_typed(columns))
+            self._rows = _select_finished(_parse_runs(columns))
         yield self._rows
 
     def is_sound(self) -> bool:
         """Compare the checksum of its steps."""
         named = _PART.fullmatch(self.steps.name)
-        return named is not None and int(named["crc32"], 16) == _check_sum(self.steps)
+        return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
 
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Return its only row group."""
@@ -237,14 +241,14 @@ def _footer(path: Path) -> Footer | None:
         return None
 
 
-def _typed(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
     """Return the runs of a part, without those of wrong types or without a cell description."""
     try:
         runs = runs_table(columns)
     except (ValueError, TypeError, OverflowError):
         each = range(len(columns["run_id"]))
         alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
-        single = [_typed(one) for one in alone if len(alone) > 1]
+        single = [_parse_runs(one) for one in alone if len(alone) > 1]
         return pa.concat_tables([NO_RUNS, *single])
     described = [_is_described(text) for text in runs["cell"].to_pylist()]
     return runs if all(described) else runs.filter(pa.array(described))
@@ -257,7 +261,7 @@ def _is_described(text: str | None) -> bool:
         return False
 
 
-def _finished(runs: pa.Table) -> pa.Table:
+def _select_finished(runs: pa.Table) -> pa.Table:
     """Return the rows of finished runs of this schema version."""
     became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
     wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
@@ -265,7 +269,7 @@ def _finished(runs: pa.Table) -> pa.Table:
     return runs if pc.all(wanted, min_count=0, skip_nulls=False).as_py() else runs.filter(wanted)
 
 
-def _check_sum(path: Path) -> int:
+def _file_checksum(path: Path) -> int:
     """Return the CRC-32 of a file; of a missing one, that of nothing."""
     check = 0
     with suppress(OSError, InputError), opened(path) as file:
@@ -336,7 +340,7 @@ class CellStore:
         out.mkdir(parents=True, exist_ok=True)
         make_folder(self.folder)
         self._stale: set[str] = set()
-        self._tidy()
+        self._remove_leftovers()
         numbers = {
             path: int(named["number"])
             for path in self.folder.iterdir()
@@ -355,18 +359,18 @@ class CellStore:
     def _sources(self) -> list[Source]:
         return [self.public, *self.parts]
 
-    def _tidy(self) -> None:
+    def _remove_leftovers(self) -> None:
         """Remove the unfinished files of a killed campaign."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
         for path in self.folder.iterdir():
-            if _LEFT_OVER.fullmatch(path.name):
+            if _UNFINISHED_FILE.fullmatch(path.name):
                 path.unlink(missing_ok=True)
 
     @property
     def remarks(self) -> list[str]:
         """A line on files that no campaign writes, such as those of sync programs."""
-        others = sorted(p.name for p in self.folder.iterdir() if not _OWN.fullmatch(p.name))
+        others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         said = (
             f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""

@@ -129,10 +129,10 @@ WAIT_S = 10.0
 @cache
 def revision() -> Revision:
     """Return the revision of the running package."""
-    return checked_out(Path(__file__).parents[2]) or installed()
+    return checkout_revision(Path(__file__).parents[2]) or installed()
 
 
-def checked_out(package: Path) -> Revision:
+def checkout_revision(package: Path) -> Revision:
     """Return the revision of a package that is part of a git checkout."""
     commit = _git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.

@@ -71,15 +71,15 @@ def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
-    body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
+    body = parts[0].ljust(size) + b"".join(_pad_array(array) for array in parts[1:])
     write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
-def _padded(array: bytes) -> bytes:
+def _pad_array(array: bytes) -> bytes:
     return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
 
 
-def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
+def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
     """Return the arrays of a file written by `keep`, as parts of `data`."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
@@ -106,7 +106,7 @@ def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
             is_own = file.read(len(_MARK)) == _MARK
             file.seek(0)
             if is_own:
-                yield _in_one_piece(np.fromfile(file, np.uint8))
+                yield _parse_arrays(np.fromfile(file, np.uint8))
                 return
             with zipfile.ZipFile(file) as archive:
                 _check_members(archive, path)
@@ -139,10 +139,10 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
             with zipfile.ZipFile(file) as archive:
                 for member in _check_members(archive, path):
                     key = member.filename.removesuffix(".npy")
-                    if _header(archive, member).hasobject:
+                    if _read_member_type(archive, member).hasobject:
                         objects[key] = archive.read(member)
                     else:
-                        arrays[key] = _array(archive, member)
+                        arrays[key] = _read_member(archive, member)
         except DAMAGE as error:
             if isinstance(error, InputError):
                 raise
@@ -165,7 +165,7 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
     return members
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(member) as stream:
         # An array read from the stream itself: its check sum is compared at the end.
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
@@ -179,7 +179,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     return array
 
 
-def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
+def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
     """Return the type of the array in a member; ValueError for another size than declared."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)

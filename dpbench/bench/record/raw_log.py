@@ -77,7 +77,7 @@ def loop_layout(
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
         controller is no cascade.
     """
-    layout = _answers(1, steps, n, m) | {
+    layout = _answer_arrays(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
@@ -88,19 +88,19 @@ def loop_layout(
         "counters": ("f8", (1, len(COUNTERS))),
     }
     if backup:
-        of_backup = _answers(1, steps, n, m)
+        of_backup = _answer_arrays(1, steps, n, m)
         of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
         layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
-    second = _answers(1, steps, *allocation) if any(allocation) else {}
+    second = _answer_arrays(1, steps, *allocation) if any(allocation) else {}
     of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
     return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     """Return the arrays of a replay log, in which round 0 is the warm-up."""
-    return _answers(rounds, steps, n, m) | {
+    return _answer_arrays(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
@@ -111,7 +111,7 @@ def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
+def _answer_arrays(rounds: int, steps: int, n: int, m: int) -> Layout:
     return {
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
@@ -216,7 +216,7 @@ class RawLog(AnswerLog):
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")
         try:
-            _fill(blank, log_bytes(layout))
+            _allocate_file(blank, log_bytes(layout))
             blank.replace(path)
         finally:
             blank.unlink(missing_ok=True)
@@ -251,7 +251,7 @@ def log_bytes(layout: Layout) -> int:
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
 
-def _fill(path: Path, size: int) -> None:
+def _allocate_file(path: Path, size: int) -> None:
     """Make a file of zeros with all its blocks allocated."""
     with path.open("wb") as file:
         # A disk that allocates late says only now what it has no room for; some cannot say it.

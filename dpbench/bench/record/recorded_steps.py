@@ -31,7 +31,7 @@ from dpbench.files.tables import opened_table
 ALL = tuple(STEP_COLUMNS)
 KEYS = {"run_id", "repeat", "k"}
 """The columns that name a step, without which a table is none of steps."""
-KEPT_GROUPS = 2
+CACHED_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
 
 
@@ -48,7 +48,8 @@ class StepsInMemory:
         some = self._frame[list(columns)]
         if run_ids is not None:
             wanted = [
-                np.full(end - first, name in run_ids) for name, (first, end) in self._places.items()
+                np.full(end - first, name in run_ids)
+                for name, (first, end) in self._run_rows.items()
             ]
             some = some[np.concatenate([np.zeros(0, dtype=np.bool_), *wanted])]
         if len(some):
@@ -56,7 +57,7 @@ class StepsInMemory:
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
         """Return a slice of the table."""
-        first, end = self._places.get(run_id, (0, 0))
+        first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
     def frame(self) -> pd.DataFrame:
@@ -64,7 +65,7 @@ class StepsInMemory:
         return self._frame
 
     @cached_property
-    def _places(self) -> dict[str, tuple[int, int]]:
+    def _run_rows(self) -> dict[str, tuple[int, int]]:
         return places_of(self._frame["run_id"])
 
 
@@ -82,13 +83,13 @@ class StepsOnDisk:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
         self._check(schema)
-        self._read = lru_cache(maxsize=KEPT_GROUPS)(self._group)
+        self._read = lru_cache(maxsize=CACHED_GROUPS)(self._group)
 
     def tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
         """Yield tables of Arrow, as `scan` yields frames."""
-        for group, places in enumerate(self._places):
+        for group, places in enumerate(self._run_rows):
             names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
                 table = self._table(group, columns)
@@ -117,8 +118,8 @@ class StepsOnDisk:
         """Return a run out of its row group, which stays in memory for its neighbours."""
         group = self._group_of.get(run_id)
         if group is None:
-            return as_columns(pd.DataFrame(), _chosen(columns))
-        first, end = self._places[group][run_id]
+            return as_columns(pd.DataFrame(), _select_columns(columns))
+        first, end = self._run_rows[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
     def frame(self) -> pd.DataFrame:
@@ -131,11 +132,11 @@ class StepsOnDisk:
         if missing:
             raise lacking(self._path, missing)
         for name in STEP_COLUMNS.keys() & self._stored:
-            if not _fits(schema.field(name).type, name):
-                raise of_another_type(self._path, f"{name}: {schema.field(name).type}")
+            if not _is_compatible(schema.field(name).type, name):
+                raise wrong_type_error(self._path, f"{name}: {schema.field(name).type}")
 
     @cached_property
-    def _places(self) -> list[dict[str, tuple[int, int]]]:
+    def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
         """Of each row group the first row of each run, and the row behind its last."""
         with readable(self._path), pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file:
             groups = [
@@ -146,7 +147,7 @@ class StepsOnDisk:
 
     @cached_property
     def _group_of(self) -> dict[str, int]:
-        return {name: group for group, places in enumerate(self._places) for name in places}
+        return {name: group for group, places in enumerate(self._run_rows) for name in places}
 
     def _group(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
         return _as_frame(self._table(group, columns), columns)
@@ -215,7 +216,7 @@ def lacking(path: Path, columns: Sequence[str]) -> ResultsError:
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
 
 
-def of_another_type(path: Path, which: str) -> ResultsError:
+def wrong_type_error(path: Path, which: str) -> ResultsError:
     """Return the error of a column of another type."""
     return ResultsError(
         str(path), "", f"a column of another type ({which})", "the types of schema.py"
@@ -229,7 +230,7 @@ def places_of(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
 
 
-def _chosen(columns: Sequence[str]) -> Columns:
+def _select_columns(columns: Sequence[str]) -> Columns:
     return {name: STEP_COLUMNS[name] for name in columns}
 
 
@@ -244,7 +245,7 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     return frame.astype({n: t for n, t in types.items() if frame[n].dtype != t})
 
 
-def _fits(stored: pa.DataType, name: str) -> bool:
+def _is_compatible(stored: pa.DataType, name: str) -> bool:
     """Return whether a stored type suits a column; other programs store integers as floats."""
     number = (pa.types.is_integer, pa.types.is_floating)
     kinds = {

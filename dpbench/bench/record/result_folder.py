@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -29,11 +29,11 @@ from dpbench.bench.record.recorded_steps import (
     StepsOnDisk,
     StepTable,
     lacking,
-    of_another_type,
     readable,
+    wrong_type_error,
 )
 from dpbench.bench.record.schema import PREFIX, SCHEMA_VERSION, as_steps
-from dpbench.bench.record.step_table import frame_of_runs, stored_runs
+from dpbench.bench.record.step_table import complete_runs, frame_of_runs
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
@@ -42,6 +42,7 @@ from dpbench.locks import Patience, holders, lock_folder
 from dpbench.solvers.contract import Policy, Route
 
 _Kind = TypeVar("_Kind")
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
@@ -123,18 +124,14 @@ def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
     """Return the document of a file as a type; ResultsError, naming the key, for other types."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
-        return _adapter(kind).validate_json(json.dumps(document))
+        checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
+        return checked
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
         allowed = f"what `dpbench run` writes ({first['msg']}); run again"
         raise ResultsError(str(path), key, value, allowed) from error
-
-
-@cache
-def _adapter(kind: type[_Kind]) -> TypeAdapter[_Kind]:
-    return TypeAdapter(kind)
 
 
 _WORDS = {
@@ -326,11 +323,11 @@ def _read_runs(folder: Path) -> pd.DataFrame:
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = frame_of_runs(stored_runs(table)).reset_index(drop=True)
+        runs = frame_of_runs(complete_runs(table)).reset_index(drop=True)
         keys = [name for name in table.column_names if name.startswith(PREFIX)]
         runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
-        raise of_another_type(path, str(error)[:80]) from error
+        raise wrong_type_error(path, str(error)[:80]) from error
     check_runs(runs, path)
     # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():

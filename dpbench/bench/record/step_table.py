@@ -83,10 +83,10 @@ def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
         for name, (dtype, _) in RUN_COLUMNS.items()
         if name in columns
     }
-    return _without_gaps(_completed(arrays, len(columns["run_id"]), RUN_COLUMNS))
+    return _check_whole_numbers(_complete_columns(arrays, len(columns["run_id"]), RUN_COLUMNS))
 
 
-def _completed(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
+def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
     """Return all `columns` as a table; absent ones are missing."""
     absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
     full = [
@@ -95,7 +95,7 @@ def _completed(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Tab
     return pa.Table.from_arrays(full, list(columns))
 
 
-def _without_gaps(runs: pa.Table) -> pa.Table:
+def _check_whole_numbers(runs: pa.Table) -> pa.Table:
     """Return a table of `RUNS_SCHEMA`; ValueError where a number is missing that no run lacks."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
@@ -169,19 +169,19 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
     return data
 
 
-def stored_steps(table: pa.Table) -> pa.Table:
+def complete_steps(table: pa.Table) -> pa.Table:
     """Return a table of steps with the columns of `FILE_SCHEMA`; absent ones are missing.
 
     Raises
     ------
     ValueError, ArrowException : a column is of another type.
     """
-    return _stored(table, STEP_COLUMNS, FILE_SCHEMA)
+    return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
-def _stored(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
+def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
     arrays = {name: table[name] for name in table.column_names if name in columns}
-    return _completed(arrays, len(table), columns).cast(schema)
+    return _complete_columns(arrays, len(table), columns).cast(schema)
 
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
@@ -195,7 +195,7 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
         part.unlink(missing_ok=True)
 
 
-def runs_of_frame(frame: pd.DataFrame) -> pa.Table:
+def table_of_runs(frame: pd.DataFrame) -> pa.Table:
     """Return a frame of runs as a table of `RUNS_SCHEMA`, followed by its study keys."""
     runs = as_runs(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
@@ -203,14 +203,14 @@ def runs_of_frame(frame: pd.DataFrame) -> pa.Table:
     return pa.Table.from_pandas(runs, schema, preserve_index=False)
 
 
-def stored_runs(table: pa.Table) -> pa.Table:
+def complete_runs(table: pa.Table) -> pa.Table:
     """Return a table of runs with the columns of `RUNS_SCHEMA`; absent ones are missing.
 
     Raises
     ------
     ValueError, ArrowException : a column is of another type, or lacks a number that no run lacks.
     """
-    return _without_gaps(_stored(table, RUN_COLUMNS, RUNS_SCHEMA))
+    return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 
 def plain_frame(table: pa.Table) -> pd.DataFrame:
@@ -260,7 +260,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 """What reading a damaged record or table raises."""
 
 
-def _plain(value: object) -> object:
+def _json_value(value: object) -> object:
     """Return a number of NumPy, or a missing one, as JSON has it."""
     if value is pd.NA:
         return None
@@ -286,7 +286,9 @@ def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
 def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
     """Return a part of the columns of runs and of all their steps (`FILE_SCHEMA`)."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
-    return BatchPart(outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_plain)}))
+    return BatchPart(
+        outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
+    )
 
 
 def read_part(data: bytes) -> BatchPart:

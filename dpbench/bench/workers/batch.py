@@ -41,7 +41,7 @@ class Item(Protocol):
 AnyItem = TypeVar("AnyItem", bound=Item)
 
 
-class _Run(Child, Generic[AnyItem]):
+class _ItemProcess(Child, Generic[AnyItem]):
     """One process that goes through items in order, each with a verdict of its own.
 
     `alone` tells whether nothing else runs beside it.
@@ -131,11 +131,11 @@ class CellRun:
 
     def start(self, core: int) -> Child:
         """Start the first process."""
-        return self._process(self._cells, core)
+        return self._start_process(self._cells, core)
 
     def follow(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split()
         if self._to_run:
             rest = self._behind_hang(ended) + rest
@@ -151,7 +151,7 @@ class CellRun:
             self._to_run = False
             ran = [cell for cell in self._cells if self._left_steps(cell)]
             rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
-        return self._process(rest, core) if rest else None
+        return self._start_process(rest, core) if rest else None
 
     def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
         """Return the cell that was killed in a step, to go on behind it; else none."""
@@ -194,14 +194,16 @@ class CellRun:
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
+    def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
         """Start a process that runs cells, or judges them when all are run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
         alone = self.batch.isolated
-        return _Run(self._context, target, cells, self.folder, core, verdict=verdict, alone=alone)
+        return _ItemProcess(
+            self._context, target, cells, self.folder, core, verdict=verdict, alone=alone
+        )
 
 
 @dataclass(frozen=True)
@@ -236,17 +238,21 @@ class FileRun:
     def start(self, core: int) -> Child:
         """Start the first process."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
-        return self._process([FileTask(text, path, limit_s) for path, text in texts.items()], core)
+        return self._start_process(
+            [FileTask(text, path, limit_s) for path, text in texts.items()], core
+        )
 
     def follow(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
             (self.folder / f"{name}.json").unlink(missing_ok=True)
-        return self._process(rest, core) if rest and not child.is_suspect else None
+        return self._start_process(rest, core) if rest and not child.is_suspect else None
 
-    def _process(self, tasks: Sequence[FileTask], core: int) -> Child:
+    def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
         target, alone = partial(make_in_turn, self.batch.target), self.batch.isolated
-        return _Run(self._context, target, tasks, self.folder, core, logs=False, alone=alone)
+        return _ItemProcess(
+            self._context, target, tasks, self.folder, core, logs=False, alone=alone
+        )

@@ -26,7 +26,7 @@ from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.run.footprint import peak_bytes_of
 from dpbench.bench.workers import shared_status
-from dpbench.bench.workers.interrupts import sigint_blocked
+from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
@@ -114,12 +114,12 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([KEEPER, *modules])
-    with _template():
+    with _running_template():
         return context
 
 
 @contextmanager
-def _template() -> Iterator[None]:
+def _running_template() -> Iterator[None]:
     """Keep the template running, so that processes can be forked in the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
@@ -130,7 +130,7 @@ def _template() -> Iterator[None]:
             multiprocessing.resource_tracker.ensure_running()
             keep_sockets()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
-            with sigint_blocked():
+            with block_sigint():
                 multiprocessing.forkserver.ensure_running()
             yield
         finally:
@@ -186,7 +186,7 @@ class Child:
         self.process: ForkServerProcess = context.Process(
             target=shared_status.run, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process)
+        _start_process(self.process)
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
@@ -258,9 +258,9 @@ class Child:
         end_orphans(self.notice.keeper, self.notice.template)
         if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.forkserver_died = _ends(self.notice.template)
+        self.forkserver_died = _has_ended(self.notice.template)
         if self.forkserver_died and self.process.pid is not None:
-            _end(self.process.pid)
+            _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
         try:
@@ -293,17 +293,17 @@ class Child:
         if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
-            return Outcome("crashed", self._cause(code))
+            return Outcome("crashed", self._describe_end(code))
         if not self.folder.exists():
             return Outcome("lost", f"its scratch folder {self.folder} went away")
-        return Outcome("lost", self._cause(code))
+        return Outcome("lost", self._describe_end(code))
 
     def _memory_ran_out(self) -> bool:
         """Return whether the kernel killed for memory meanwhile, or hides that."""
         now = _memory_kills()
         return now is None or now != self._memory_kills
 
-    def _cause(self, code: int) -> str:
+    def _describe_end(self, code: int) -> str:
         if code < 0:
             return f"killed by {_signal_name(-code)}"
         words = self.notice.words
@@ -349,15 +349,17 @@ class ServingChild(Child):
 
     def ready(self) -> object:
         """Return its first word, within the time to start; None as for `reply`."""
-        return self._word(START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s")
+        return self._receive_reply(
+            START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s"
+        )
 
     def reply(self, limit_s: float) -> object:
         """Return its next word; None when it died, refused, or hung and was killed."""
-        return self._word(
+        return self._receive_reply(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
 
-    def _word(self, wait_s: float, overdue: str) -> object:
+    def _receive_reply(self, wait_s: float, overdue: str) -> object:
         # What the process started may hold the other end of its pipe open when it ends.
         ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
@@ -376,7 +378,7 @@ class ServingChild(Child):
     def finish(self) -> Outcome:
         """End its cell by None and return its outcome; kill it without a reply in time."""
         self.order(None)
-        if self._word(GRACE_S, "did not end when asked to") is True:
+        if self._receive_reply(GRACE_S, "did not end when asked to") is True:
             return self.verdict_of(self._verdict)
         return self.outcome()
 
@@ -391,13 +393,13 @@ class ServingChild(Child):
         return self.outcome()
 
 
-def _start(process: ForkServerProcess) -> None:
+def _start_process(process: ForkServerProcess) -> None:
     """Start a process, again where its template dies; NoProcessError after `STARTS` attempts."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
-        signal_process(_keeper(), signal.SIGCONT)
+        signal_process(_keeper_pid(), signal.SIGCONT)
         try:
-            with _template(), hidden_main_module():
+            with _running_template(), hidden_main_module():
                 process.start()
             return
         except (OSError, EOFError) as error:
@@ -405,13 +407,13 @@ def _start(process: ForkServerProcess) -> None:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
             # It may have forked the process and not lived to tell: that ends with it.
-            end_below(_keeper())
+            end_below(_keeper_pid())
             # While the old one lives the next attempt gets no other template, and fails as well.
-            if not _ends(_keeper(), END_S):
-                _end(_keeper())
+            if not _has_ended(_keeper_pid(), END_S):
+                _kill_and_wait(_keeper_pid())
 
 
-def _keeper() -> int:
+def _keeper_pid() -> int:
     """Return the keeper of the running template; 0 for none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
@@ -426,14 +428,14 @@ def is_stopped(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] == "T"
 
 
-def _end(pid: int) -> None:
+def _kill_and_wait(pid: int) -> None:
     """Kill a process, and wait until it is gone."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    _ends(pid)
+    _has_ended(pid)
 
 
-def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
+def _has_ended(pid: int, wait_s: float = _DYING_S) -> bool:
     """Return whether a process ends within `wait_s`."""
     try:
         process = os.pidfd_open(pid)

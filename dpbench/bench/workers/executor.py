@@ -26,8 +26,8 @@ from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
 from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, work_of
-from dpbench.bench.workers.leases import leased_machine
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, count_steps
+from dpbench.bench.workers.leases import lease_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
@@ -106,7 +106,7 @@ WAITING = (
 
 
 @contextmanager
-def _away_from(core: int) -> Iterator[None]:
+def _avoid_core(core: int) -> Iterator[None]:
     """Keep this process, with its progress bar, off the measured core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - {core} or before)
@@ -160,7 +160,7 @@ class CellExecutor(ExitStack):
     def submit(self, batch: Batch, sources: Sources) -> None:
         """Take a batch; timed replays only while there is no other."""
         if isinstance(batch, FileBatch):
-            self._start(FileRun(self._context, batch, self._scratch.folder()))
+            self._start_run(FileRun(self._context, batch, self._scratch.folder()))
         elif batch.is_timed:
             self._replays.append((batch, sources))
         else:
@@ -182,21 +182,21 @@ class CellExecutor(ExitStack):
                 self._sharing.close()
             yield run.batch, results
 
-    def _start(self, run: CellRun | FileRun) -> None:
+    def _start_run(self, run: CellRun | FileRun) -> None:
         """Run a batch on the next core, while no campaign times replays on this machine."""
         self._idle.close()
         if not len(self._pool):
-            self._sharing.enter_context(self._machine(TOGETHER))
+            self._sharing.enter_context(self._lock_machine(TOGETHER))
         self._pool.add(run)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
-        sizes, lost = self._sizes(batch.jobs, sources)
+        sizes, lost = self._log_sizes(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
         need = sum(sizes.values())
         try:
             folder = self._scratch.folder(need + sum(self._log_bytes.values()), batch.kind)
         except NoRoomError as error:
-            lost += [_lost(job, str(error)) for job in sizes]
+            lost += [_lost_result(job, str(error)) for job in sizes]
             sizes = {}
         if not sizes:
             self._refused.append((batch, lost))
@@ -204,7 +204,7 @@ class CellExecutor(ExitStack):
         cells = [self._batch_cell(job, sources) for job in sizes]
         run = CellRun(self._context, batch, folder, cells)
         self._log_bytes[run], self._lost[run] = need, lost
-        self._start(run)
+        self._start_run(run)
 
     def _results_of(self, run: CellRun) -> list[Result]:
         self._log_bytes.pop(run)
@@ -214,15 +214,15 @@ class CellExecutor(ExitStack):
 
     def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
         """Replay one sequence through all its configurations, interleaved, then judge them."""
-        sizes, lost = self._sizes(batch.jobs, sources)
+        sizes, lost = self._log_sizes(batch.jobs, sources)
         if not sizes:
             return lost
         what = f"the replays of {batch.jobs[0].cell.sequence}"
         try:
             folder = self._scratch.folder(sum(sizes.values()), what)
         except NoRoomError as error:
-            return lost + [_lost(job, str(error)) for job in sizes]
-        outcomes = self._by_turns(batch, [*sizes], sources, folder)
+            return lost + [_lost_result(job, str(error)) for job in sizes]
+        outcomes = self._run_turns_with_retries(batch, [*sizes], sources, folder)
         stepped = [
             job
             for job in sizes
@@ -234,7 +234,7 @@ class CellExecutor(ExitStack):
         runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
         parts: list[BatchPart] = []
         unanswered = {job.run_id for job in stepped}
-        with self._machine(TOGETHER):
+        with self._lock_machine(TOGETHER):
             for run in run_on_cores(runs, self._cores):
                 outcomes |= run.outcomes
                 parts += run.parts
@@ -243,7 +243,7 @@ class CellExecutor(ExitStack):
         answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
         return lost + self._results(answered, parts, folder)
 
-    def _by_turns(
+    def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
         """Return the outcomes of replays that took turns, by run_id.
@@ -251,8 +251,10 @@ class CellExecutor(ExitStack):
         Suspects of a dead template run alone, which finds the one that ends its template; the
         others take turns once more.
         """
-        cells = [(job.run_id, replace(job.cell, solver_module=self._module(job))) for job in jobs]
-        turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
+        cells = [
+            (job.run_id, replace(job.cell, solver_module=self._plugin_path(job))) for job in jobs
+        ]
+        turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)
         outcomes = turns(cells)
         suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
         for entry in suspects:
@@ -263,7 +265,7 @@ class CellExecutor(ExitStack):
             outcomes |= turns(cleared)
         return outcomes
 
-    def _turns(
+    def _run_turns(
         self,
         batch: CellBatch,
         source: Path,
@@ -275,12 +277,12 @@ class CellExecutor(ExitStack):
         """Return the outcomes of replays of one sequence that took turns once."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
-        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
+        share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
             discard(folder / f"{run_id}.raw")
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = ALONE if self._concurrency == 1 else TOGETHER
-        with self._machine(how) as held, _away_from(core):
+        with self._lock_machine(how) as held, _avoid_core(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
                 batch.shown_work += share
@@ -288,7 +290,7 @@ class CellExecutor(ExitStack):
             self._concurrency = max(2, self._concurrency)
         return group.outcomes
 
-    def _sizes(
+    def _log_sizes(
         self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
         """Return the size of each log [B], and lost results of unreadable sources."""
@@ -303,7 +305,7 @@ class CellExecutor(ExitStack):
                     known[alike] = log_size(cell, sources[job.source_key])
                 sizes[job] = known[alike]
             except InputError as error:
-                lost.append(_lost(job, str(error)))
+                lost.append(_lost_result(job, str(error)))
         return sizes, lost
 
     def find_machine_free(self, *, times: bool) -> None:
@@ -314,11 +316,11 @@ class CellExecutor(ExitStack):
         times : whether replays will be timed, which takes all of the machine.
         """
         if self._patience.limit_s is not None:
-            with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
+            with self._lock_machine(ALONE if times and self._concurrency == 1 else TOGETHER):
                 pass
 
-    def _machine(self, how: int) -> AbstractContextManager[bool]:
-        return leased_machine(
+    def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
+        return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._say_waiting
         )
 
@@ -327,7 +329,7 @@ class CellExecutor(ExitStack):
             self.progress.waiting(WAITING.format(holders))
         self._waited_for = holders
 
-    def _module(self, job: CellJob) -> str:
+    def _plugin_path(self, job: CellJob) -> str:
         """Return the path of the job's plug-in on this machine."""
         return self._modules.get(job.cell.solver_module, job.cell.solver_module)
 
@@ -342,7 +344,7 @@ class CellExecutor(ExitStack):
             outcome,
             job.library,
             self._machine_id,
-            self._module(job),
+            self._plugin_path(job),
             self._concurrency if job.cell.is_timed else None,
         )
 
@@ -377,5 +379,5 @@ class CellExecutor(ExitStack):
         return sorted(results, key=lambda result: turn[result.part] if result.part else -1)
 
 
-def _lost(job: CellJob, cause: str) -> Result:
+def _lost_result(job: CellJob, cause: str) -> Result:
     return Result(job.run_id, Outcome("lost", cause))

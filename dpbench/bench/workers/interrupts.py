@@ -61,7 +61,7 @@ def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def sigint_blocked() -> Iterator[None]:
+def block_sigint() -> Iterator[None]:
     """Delay Ctrl-C to the end of the block, also in processes started in it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -80,7 +80,7 @@ def forget_interrupts() -> None:
 
 
 @contextmanager
-def signals_wait() -> Iterator[None]:
+def delay_signals() -> Iterator[None]:
     """Delay Ctrl-C, SIGTERM and SIGHUP to the end of the block.
 
     Where an exception already ends the program they are dropped. Nothing changes outside the main
@@ -106,7 +106,7 @@ def signals_wait() -> Iterator[None]:
 
 
 @contextmanager
-def terminal_signals_blocked() -> Iterator[None]:
+def block_terminal_signals() -> Iterator[None]:
     """Block Ctrl-C and SIGHUP in threads and processes started in the block.
 
     A terminal sends both to all processes of a program, of which one handles them for all.

@@ -98,7 +98,7 @@ class CellBatch:
     @property
     def source_keys(self) -> list[str]:
         """Keys of the files behind its QPs, each once."""
-        return [*by_source(self.jobs)]
+        return [*group_by_source(self.jobs)]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
         """Return isolated batches of those cells, timed replays together."""
@@ -144,7 +144,7 @@ class FileBatch:
 Batch = CellBatch | FileBatch
 
 
-def by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
+def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
     """Group jobs by the key of the source of their QPs."""
     of_key: dict[str, list[CellJob]] = {}
     for job in jobs:
@@ -176,8 +176,8 @@ def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBa
     for job in jobs:
         alike.setdefault(configuration_key(job.cell), []).append(job)
     size_s = batch_seconds(sum(expected_seconds(job) for job in jobs), slots)
-    groups = [g for some in alike.values() for g in in_groups(some, expected_seconds, size_s)]
-    turn = {key: i for i, key in enumerate(by_source(jobs))}
+    groups = [g for some in alike.values() for g in cut_into_groups(some, expected_seconds, size_s)]
+    turn = {key: i for i, key in enumerate(group_by_source(jobs))}
     groups.sort(key=lambda group: turn[group[0].source_key])
     return [CellBatch(kind, group) for group in groups]
 
@@ -187,7 +187,7 @@ def batch_seconds(total_s: float, slots: int) -> float:
     return min(LONGEST_S, max(SHORTEST_S, total_s / (BATCHES_PER_SLOT * slots)))
 
 
-def in_groups(
+def cut_into_groups(
     items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
 ) -> Iterator[list[Item]]:
     """Cut items into groups that take `size_s` or more, and `LONGEST_S` at most."""
@@ -209,15 +209,15 @@ def in_groups(
 
 def expected_seconds(job: CellJob) -> float:
     """Return the time of a cell by the measured rates."""
-    return CELL_S + STEP_S * work_of(job.cell)
+    return CELL_S + STEP_S * count_steps(job.cell)
 
 
-def work_of(cell: Cell) -> int:
+def count_steps(cell: Cell) -> int:
     """Count the steps a cell will take, for the progress bar."""
     return cell.steps * max(1, cell.rounds)
 
 
-def name_of(cell: Cell) -> str:
+def cell_label(cell: Cell) -> str:
     """Return the name of a cell in the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 

@@ -28,7 +28,7 @@ from dpbench.bench.workers.orphans import (
 _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE)
 
 
-def _split() -> None:
+def _split_keeper() -> None:
     """Return in the child; the parent becomes the keeper and never returns."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
@@ -38,13 +38,13 @@ def _split() -> None:
         orphans.template, orphans.keeper = os.getpid(), keeper
         return
     try:
-        _keep(template, main)
+        _keep_template(template, main)
         end_children()
     finally:
         os._exit(0)
 
 
-def _keep(template: int, main: int) -> None:
+def _keep_template(template: int, main: int) -> None:
     """Return when the template or the main program ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
@@ -84,4 +84,4 @@ def _is_kept(template: int) -> bool:
         signal_process(template, signal.SIGCONT)
 
 
-_split()
+_split_keeper()

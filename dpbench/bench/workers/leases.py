@@ -28,23 +28,23 @@ def lease_folder() -> Path:
     with suppress(OSError):
         folder.mkdir(0o700)
     with suppress(FileNotFoundError):
-        if fault := _fault(folder.lstat()):
+        if fault := _folder_fault(folder.lstat()):
             allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
             raise InputError(str(folder), "", fault, allowed)
     return folder
 
 
-def _fault(found: os.stat_result) -> str:
+def _folder_fault(found: os.stat_result) -> str:
     if not stat.S_ISDIR(found.st_mode):
         return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
     if found.st_uid != os.getuid():
-        return f"a folder of {_name(found.st_uid)}"
+        return f"a folder of {_user_name(found.st_uid)}"
     if found.st_mode & 0o022:
         return f"a folder that others can write (mode {stat.S_IMODE(found.st_mode):o})"
     return ""
 
 
-def _name(uid: int) -> str:
+def _user_name(uid: int) -> str:
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
     except KeyError:
@@ -52,7 +52,7 @@ def _name(uid: int) -> str:
 
 
 @contextmanager
-def leased_core() -> Iterator[int]:
+def lease_core() -> Iterator[int]:
     """Lease a core of this process that no other process leases during the block.
 
     Where all are leased it is the first of them.
@@ -66,7 +66,7 @@ def leased_core() -> Iterator[int]:
     yield cores[0]
 
 
-def leased_machine(
+def lease_machine(
     how: int,
     holder: Holder,
     *,

@@ -46,7 +46,7 @@ def has_children() -> bool:
     return True
 
 
-def children_of(pid: int) -> list[int]:
+def list_children(pid: int) -> list[int]:
     """Return the children of a process of one thread; none where it is gone."""
     try:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
@@ -74,7 +74,7 @@ def signal_process(pid: int, number: signal.Signals) -> None:
 
 def end_below(keeper: int) -> None:
     """End the template of a keeper, which ends all below it, and then itself."""
-    for child in children_of(keeper) if keeper else []:
+    for child in list_children(keeper) if keeper else []:
         signal_process(child, signal.SIGKILL)
 
 
@@ -82,7 +82,7 @@ def end_orphans(keeper: int, template: int) -> None:
     """End orphans of the keeper; nothing where it or the template is gone."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        children = children_of(keeper) if keeper else []
+        children = list_children(keeper) if keeper else []
         if template not in children or len(children) == 1:
             return
         # It waits for those that end, unless somebody stopped it.
@@ -97,7 +97,7 @@ def end_children() -> None:
     """End all children of this process, and those they leave, and wait for them."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        for child in children_of(os.getpid()):
+        for child in list_children(os.getpid()):
             signal_process(child, signal.SIGKILL)
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:

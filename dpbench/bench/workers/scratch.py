@@ -34,7 +34,7 @@ def scratch_folder() -> AbstractContextManager[Path]:
     return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
-def free_bytes(place: Path) -> int:
+def count_free_bytes(place: Path) -> int:
     """Return the free bytes of a place, in memory at most those available."""
     volume = os.statvfs(place)
     # A tmpfs without a limit says that it has no blocks at all.
@@ -50,7 +50,7 @@ class Scratch(ExitStack):
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
+        self._places = _one_place_per_device([MEMORY, Path(tempfile.gettempdir()), beside])
         for place in self._places:
             clear_abandoned(place)
         self._made: dict[Path, Path] = {}
@@ -75,27 +75,27 @@ class Scratch(ExitStack):
         """
         short: list[str] = []
         for place in self._places:
-            free = free_bytes(place)
+            free = count_free_bytes(place)
             if free < need + MARGIN_BYTES:
                 short.append(f"{place} has {_megabytes(free)}")
                 continue
             if short and need:
                 words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
                 self._elsewhere.setdefault(place, []).append((need, words))
-            return self._folder(place)
+            return self._make_folder(place)
         if not need:
-            return self._folder(self._places[-1])
+            return self._make_folder(self._places[-1])
         raise NoRoomError(
             f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
         )
 
-    def _folder(self, place: Path) -> Path:
+    def _make_folder(self, place: Path) -> Path:
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
 
 
-def _apart(places: Sequence[Path]) -> list[Path]:
+def _one_place_per_device(places: Sequence[Path]) -> list[Path]:
     """Return one writable place on each file system."""
     by_device: dict[int, Path] = {}
     for place in places:

@@ -73,7 +73,7 @@ class Output:
         weakref.finalize(self, os.close, descriptor)
 
     def __reduce__(self) -> tuple[Callable[..., Output], tuple[Any, ...]]:
-        return _received, (reduction.DupFd(self._descriptor),)
+        return _receive_output, (reduction.DupFd(self._descriptor),)
 
     def take(self) -> None:
         """Redirect the output of this process to it."""
@@ -117,7 +117,7 @@ class _Sink(io.FileIO):
             return len(data)
 
 
-def _received(descriptor: Any) -> Output:
+def _receive_output(descriptor: Any) -> Output:
     return Output(descriptor.detach())
 
 
@@ -133,7 +133,7 @@ class SharedStatus:
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
     def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor), self.output)
+        return _receive_status, (reduction.DupFd(self._descriptor), self.output)
 
     def handed_over(self) -> None:
         """Close the descriptor after the process has received it."""
@@ -194,37 +194,37 @@ class SharedStatus:
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, output: Output) -> SharedStatus:
+def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
     """Return the status in the process that it was sent to."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.handed_over()
     return notice
 
 
-_here: list[SharedStatus] = []
+_process_status: list[SharedStatus] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
 def set_phase(who: Phase, place: int | None = None) -> None:
     """Set the phase of this process, and the number of the current one of several cells."""
-    for notice in _here:
+    for notice in _process_status:
         notice.set_phase(who, place)
 
 
 def begin_output() -> None:
     """Forget the output of this process, as another cell begins."""
-    for notice in _here:
+    for notice in _process_status:
         notice.output.begin_again()
 
 
-def output_cut() -> str:
+def truncation_note() -> str:
     """Return `CUT` where output of this process was dropped; "" else."""
-    return CUT if any(notice.output.is_full for notice in _here) else ""
+    return CUT if any(notice.output.is_full for notice in _process_status) else ""
 
 
 def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     """Run a process's target; record an exception as the reason of its end."""
-    _here[:] = [notice]
+    _process_status[:] = [notice]
     notice.begin()
     notice.output.take()
     prefer_for_killing()
@@ -232,20 +232,20 @@ def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
         who = notice.who
-        if isinstance(error, Exception) and not _through_solver(error.__traceback__):
+        if isinstance(error, Exception) and not _is_from_solver(error.__traceback__):
             who = Phase.HARNESS
-        notice.record_exit(who, in_words(error))
+        notice.record_exit(who, describe_exception(error))
         raise SystemExit(1) from None
 
 
-def in_words(error: BaseException) -> str:
+def describe_exception(error: BaseException) -> str:
     """Return what was raised, in half a line."""
     if isinstance(error, SystemExit):
         return f"SystemExit({error.code!r})"
     return f"{type(error).__name__}: {error}"[:300]
 
 
-def _through_solver(trace: TracebackType | None) -> bool:
+def _is_from_solver(trace: TracebackType | None) -> bool:
     """Return whether an exception came out of a solver, or of its adapter."""
     while trace is not None:
         if trace.tb_frame.f_code.co_filename.startswith(_BY_SOLVERS):

@@ -46,7 +46,7 @@ from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
 from dpbench.bench.sequences.source import is_readable, replayed, source_file
 from dpbench.bench.workers.orphans import has_children
-from dpbench.bench.workers.shared_status import Phase, begin_output, output_cut, set_phase
+from dpbench.bench.workers.shared_status import Phase, begin_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -137,7 +137,7 @@ def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
     return r, next(k for k in range(first, cell.steps + 1) if k not in known)
 
 
-def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
+def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
     """Settle the process and open the cell's solver; InputError where that is refused."""
     if settled:
         begin_output()
@@ -161,10 +161,12 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
     return workspace
 
 
-def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
+def _open_or_refuse(
+    cell: Cell, folder: Path, name: str, *, settled: bool = False
+) -> Workspace | None:
     """Open the cell's solver; write a verdict `refused` and return None where that fails."""
     try:
-        return _opened(cell, settled=settled)
+        return _open_workspace(cell, settled=settled)
     except InputError as error:
         set_phase(Phase.HARNESS)
         write_outcome(folder / f"{name}.json", Outcome("refused", str(error)))
@@ -178,12 +180,12 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         set_phase(Phase.HARNESS, i)
         name = batch_cell.name
         cell = replace(Cell.from_json(batch_cell.cell), solver_module=batch_cell.module)
-        workspace = _open(cell, folder, name, settled=i > 0)
+        workspace = _open_or_refuse(cell, folder, name, settled=i > 0)
         if workspace is None:
             continue
         raw = folder / f"{name}.raw"
         if cell.mode == "closed_loop":
-            verdict = _steer(cell, workspace, raw, batch_cell.source, batch_cell.hung)
+            verdict = _run_closed_loop(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         write_outcome(folder / f"{name}.json", verdict)
@@ -195,17 +197,17 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             return
 
 
-def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
+def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
     """Return a function that makes the log of a cell, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
-def _steer(
+def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Run a closed loop in the weather of the reference loop; return the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
-    limit_ns, new_log = round(cell.limit_s * 1e9), _log_at(raw, hung)
+    limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = closed_loop_setup(
             cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
@@ -221,7 +223,7 @@ def _steer(
     set_phase(Phase.HARNESS)
     np.subtract(counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
-    return _verdict(cell, workspace, setup.solver, stopped)
+    return _make_outcome(cell, workspace, setup.solver, stopped)
 
 
 def _replay_untimed(
@@ -237,21 +239,23 @@ def _replay_untimed(
     with interrupting(STEP_SHARE * cell.limit_s, clock):
         complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
-    return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    return _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
 
 
-def _in_round(log: RawLog) -> str:
+def _describe_round(log: RawLog) -> str:
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
-def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
+def _make_outcome(
+    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
+) -> Outcome:
     """Return the verdict on a cell that ended by itself, `stopped` where its limit ended it."""
     details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
     if timed_solver.details:
         # The library's most frequent words on its failures.
         words, count = max(timed_solver.details.items(), key=lambda item: item[1])
         details.append(f"{count} × {words}")
-    detail = "; ".join(filter(None, [*details, output_cut()]))
+    detail = "; ".join(filter(None, [*details, truncation_note()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
 
@@ -299,7 +303,7 @@ def _serve_replay(
 ) -> bool:
     """Serve the rounds of one replay and write its verdict; False where it is refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
-    workspace = _open(cell, folder, name, settled=settled)
+    workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
     memory.opened()
@@ -317,7 +321,7 @@ def _serve_replay(
         orders.send(complete)
     set_phase(Phase.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
-    verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    verdict = _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
     write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
@@ -341,7 +345,7 @@ def _replay_run(
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """Prepare a replay for its rounds and begin the phase of its solver."""
     steps, timed_solver, log = replay_parts(
-        sequence, workspace, cell.formulation, cell.rounds, _log_at(raw, hung)
+        sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
     if memory is not None:
         memory.loaded(log)
@@ -367,7 +371,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     """
     cell = Cell.from_json(text)
     try:
-        _opened(cell)
+        _open_workspace(cell)
     except InputError as error:
         orders.send(error)
         return
@@ -375,7 +379,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     while (order := orders.recv()) is not None:
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
-        workspace = _opened(cell, settled=True)
+        workspace = _open_workspace(cell, settled=True)
         configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
         complete = all(configuration.round(r) for r in range(cell.rounds + 1))
         set_phase(Phase.HARNESS)
@@ -412,25 +416,25 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
-        judged[batch_cell.name] = _judged(batch_cell, log)
+        judged[batch_cell.name] = _judge_cell(batch_cell, log)
         if i + 1 == len(cells):
             # Before the last verdict, so that a cell is to blame if this ends the process.
             (folder / f"{cells[0].name}.judged").write_bytes(batch_part(judged).data)
         write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
-def _judged(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
+def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
     """Return the row and the steps of a cell that ran."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
-    evaluated = _evaluate(cell, batch_cell.source, log)
+    evaluated = _evaluate_log(cell, batch_cell.source, log)
     steps = step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
     row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
     return row, step_batch(steps)
 
 
-def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
+def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> Evaluated:
     if cell.mode == "replay":
         known, judged = replayed(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)

@@ -99,7 +99,7 @@ def test_sources_of_a_task_whose_worker_died_are_made_apart(
     def cluster(workers: int) -> Iterator[Client]:
         yield client
 
-    monkeypatch.setattr(dask_engine, "own_cluster", cluster)
+    monkeypatch.setattr(dask_engine, "start_own_cluster", cluster)
     (tmp_path / "seas.toml").write_text(STUDY, encoding="utf-8")
     out = run_campaign(tmp_path / "seas.toml", tmp_path / "out", engine="dask", jobs=1)
     assert set(load_results(out).runs["outcome"]) == {"finished"}

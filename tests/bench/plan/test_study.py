@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import with_choices
-from dpbench.bench.plan.study_points import StudyTable, points_of
+from dpbench.bench.plan.study_points import StudyTable, list_points
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import study_columns
 from dpbench.errors import InputError
@@ -47,7 +47,7 @@ def test_points_are_every_combination_once(
         design={"kind": "sobol", "points": drawn, "ranges": {"c": [0.0, 1.0]}},
         replicates={"key": "seed", "count": replicates, "first": 5},
     )
-    points = points_of(table, {})
+    points = list_points(table, {})
     assert len(points) == prod(sizes) * zipped * drawn * replicates
     assert len({(p.index, p.replicate) for p in points}) == len(points)
     assert len({tuple(p.values.items()) for p in points}) * replicates == len(points)
@@ -62,7 +62,7 @@ def test_each_interval_of_a_latin_hypercube_has_one_point(points: int, seed: int
     design = {"kind": "latin_hypercube", "points": points, "seed": seed, "ranges": ranges}
     table = StudyTable(base="x", design=design)
     for key, (low, high) in ranges.items():
-        drawn = np.array([p.values[key] for p in points_of(table, {})])
+        drawn = np.array([p.values[key] for p in list_points(table, {})])
         cells = np.floor((drawn - low) / (high - low) * points).astype(int)
         assert sorted(cells) == list(range(points))
 
@@ -70,7 +70,7 @@ def test_each_interval_of_a_latin_hypercube_has_one_point(points: int, seed: int
 def test_whole_numbers_stay_whole() -> None:
     ranges = {HORIZON: [30.0, 60.0], WIND: [5.0, 18.0]}
     table = StudyTable(base="x", design={"kind": "sobol", "points": 8, "ranges": ranges})
-    drawn = [p.values for p in points_of(table, {HORIZON: 60, WIND: 10.7})]
+    drawn = [p.values for p in list_points(table, {HORIZON: 60, WIND: 10.7})]
     assert all(isinstance(p[HORIZON], int) and 30 <= p[HORIZON] <= 60 for p in drawn)
     assert len({p[WIND] for p in drawn}) == 8
 

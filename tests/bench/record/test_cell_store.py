@@ -25,12 +25,12 @@ from dpbench.bench.record.step_table import (
     BatchPart,
     batch_part,
     columns_of,
+    complete_steps,
     concat_runs,
     filter_runs,
     no_steps,
     runs_table,
     step_batch,
-    stored_steps,
 )
 from dpbench.bench.tabulate import tabulate
 
@@ -219,9 +219,9 @@ def test_tables_of_parts_are_joined(
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
     assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
-    found = stored_steps(groups.read())
+    found = complete_steps(groups.read())
     batches = {name: step_batch(steps_of(seed)) for seed, name in enumerate("abc")}
-    assert found.equals(stored_steps(concat_runs(batches)))
+    assert found.equals(complete_steps(concat_runs(batches)))
     assert store.public.is_sound() and list(store.public.outcomes()) == ["a", "b", "c"]
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.machine import checked_out, installed, revision_text, revisions
+from dpbench.bench.record.machine import checkout_revision, installed, revision_text, revisions
 
 
 def _git(folder: Path, *words: str) -> None:
@@ -30,19 +30,19 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_checkout_tells_its_commit_and_whether_it_is_clean(package: Path) -> None:
-    clean = checked_out(package)
+    clean = checkout_revision(package)
     assert len(clean["commit"]) == 40 and clean["clean"] is True
     (package.parent / "notes.txt").write_text("beside", encoding="utf-8")
-    assert checked_out(package) == clean
+    assert checkout_revision(package) == clean
     (package / "__init__.py").write_text("x = 2\n", encoding="utf-8")
-    assert checked_out(package) == clean | {"clean": False}
+    assert checkout_revision(package) == clean | {"clean": False}
 
 
 def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: Path) -> None:
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert checked_out(other) == {}
+    assert checkout_revision(other) == {}
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,7 +134,7 @@ def test_logs_lie_elsewhere_where_memory_is_short(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = {scratch.MEMORY: SHORT}
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: free.get(place, ENOUGH))
+    monkeypatch.setattr(scratch, "count_free_bytes", lambda place: free.get(place, ENOUGH))
     assert run(suite, tmp_path / "out") == 0
     assert outcomes(tmp_path / "out") == ["finished"] * 3
     remarks = load_results(tmp_path / "out").suite["remarks"]
@@ -148,7 +148,7 @@ def test_without_room_anywhere_cells_are_lost_until_there_is(
     out = tmp_path / "out"
     command = ["run", str(suite), "--out", str(out)]
     with monkeypatch.context() as patch:
-        patch.setattr(scratch, "free_bytes", lambda place: SHORT)
+        patch.setattr(scratch, "count_free_bytes", lambda place: SHORT)
         assert main(command) == 1
     assert outcomes(out) == ["lost"] * 3
     (line,) = capsys.readouterr().err.strip().splitlines()
@@ -249,7 +249,7 @@ from dpbench.bench.workers import scratch
 from dpbench.cli.main import main
 # The room was there when it was looked for, and is gone when a worker comes for it.
 Path("/dev/shm/filling").write_bytes(bytes(2**20))
-scratch.free_bytes = lambda place: 10**9
+scratch.count_free_bytes = lambda place: 10**9
 raise SystemExit(main(sys.argv[1:]))
 """
 

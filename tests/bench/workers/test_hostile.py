@@ -16,7 +16,7 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, template_context
-from dpbench.bench.workers.orphans import children_of
+from dpbench.bench.workers.orphans import list_children
 from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
 from tests.bench.deterministic import head
@@ -182,8 +182,8 @@ def test_the_keeper_has_no_children_but_the_template(
         assert time.monotonic() < deadline, "it does not begin"
         time.sleep(0.01)
     notice = child.notice
-    assert children_of(notice.keeper) == [notice.template]
-    assert child.process.pid in children_of(notice.template)
+    assert list_children(notice.keeper) == [notice.template]
+    assert child.process.pid in list_children(notice.template)
     child.kill("seen")
 
 

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import pytest
 
 from dpbench.bench.workers.interrupts import (
+    block_sigint,
+    block_terminal_signals,
+    delay_signals,
     first_signal_only,
     forget_interrupts,
-    sigint_blocked,
-    signals_wait,
-    terminal_signals_blocked,
 )
 
 # Ctrl-C goes to all processes of a group.
@@ -68,7 +68,7 @@ def test_who_listens_already_goes_on_listening() -> None:
 
 def test_a_press_that_waits_is_heard_afterwards() -> None:
     reached = False
-    with pytest.raises(KeyboardInterrupt), sigint_blocked():
+    with pytest.raises(KeyboardInterrupt), block_sigint():
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         reached = True
     assert reached
@@ -89,7 +89,7 @@ except KeyboardInterrupt:
 
 
 def test_a_process_started_so_drops_what_came_before_it_was_ready() -> None:
-    with sigint_blocked():
+    with block_sigint():
         process = subprocess.Popen([sys.executable, "-c", CHILD], stdout=subprocess.PIPE, text=True)
     said, _ = process.communicate(timeout=60)
     assert (said.split(), process.returncode) == (["loaded", "interrupted"], 0)
@@ -106,7 +106,7 @@ def test_a_process_that_holds_nothing_back_is_left_alone() -> None:
 def test_signals_wait_for_what_must_be_whole() -> None:
     reached = []
     with pytest.raises(KeyboardInterrupt):
-        with signals_wait():
+        with delay_signals():
             for _ in range(2):
                 signal.raise_signal(signal.SIGINT)
             reached.append("end")
@@ -116,14 +116,14 @@ def test_signals_wait_for_what_must_be_whole() -> None:
         try:
             _ = 1 / 0
         finally:
-            with signals_wait():
+            with delay_signals():
                 signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_a_terminal_sends_does_not_reach_some_processes() -> None:
     words = "import os, signal; [os.kill(os.getpid(), n) for n in (signal.SIGINT, signal.SIGHUP)]"
-    with terminal_signals_blocked():
+    with block_terminal_signals():
         process = subprocess.Popen([sys.executable, "-c", words])
     assert process.wait() == 0
     with pytest.raises(KeyboardInterrupt):

@@ -15,7 +15,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.workers import leases
-from dpbench.bench.workers.leases import lease_folder, leased_core
+from dpbench.bench.workers.leases import lease_core, lease_folder
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.locks import BusyError
@@ -30,9 +30,9 @@ HEAD = head(rounds=1, warmup_steps=0)
 
 LOOPS = HEAD + '[[closed_loop]]\nscenarios = ["paper"]\nsteps = 5\n'
 REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
-OTHERS = "leased_machine({}, Holder('results/other'))"
+OTHERS = "lease_machine({}, Holder('results/other'))"
 HOLDING = """
-from dpbench.bench.workers.leases import leased_core, leased_machine
+from dpbench.bench.workers.leases import lease_core, lease_machine
 from dpbench.locks import ALONE, TOGETHER, Holder
 with {lease} as held:
     print(held, flush=True)
@@ -61,13 +61,13 @@ def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.alone  # What runs side by side has one core each.
 def test_a_core_is_leased_to_one_process_at_a_time() -> None:
     cores = sorted(os.sched_getaffinity(0))
-    with holding("leased_core()") as (_, core):
+    with holding("lease_core()") as (_, core):
         taken = int(core)
-        with leased_core() as first, leased_core() as second:
+        with lease_core() as first, lease_core() as second:
             assert taken in cores and (first != taken or len(cores) == 1)
             # More work than cores: one of them has two.
             assert second in cores
-    with leased_core() as core_again:
+    with lease_core() as core_again:
         assert core_again == taken == cores[0]
 
 

@@ -69,7 +69,7 @@ def suite(tmp_path: Path) -> Path:
 def test_what_goes_away_between_judging_and_keeping_is_lost(
     suffixes: tuple[str, ...], suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, split = tmp_path / "out", batch._Run.split
+    out, split = tmp_path / "out", batch._ItemProcess.split
 
     def tidied(self: Any) -> Any:
         ended = split(self)
@@ -79,7 +79,7 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
         return ended
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._Run, "split", tidied)
+        patch.setattr(batch._ItemProcess, "split", tidied)
         assert accidents(run_campaign(suite, out, jobs=1))[0] == 3
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"lost"}
@@ -94,7 +94,7 @@ def test_rows_of_further_names_are_lost_with_their_cell(
     out = run_campaign(suite, tmp_path / "out")
     runs = load_results(out).runs
     assert len(runs) == 3 and set(runs["outcome"]) == {"finished"}
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: 1000)
+    monkeypatch.setattr(scratch, "count_free_bytes", lambda place: 1000)
     run_campaign(suite, out, fresh=True)
     results = load_results(out)
     assert results.runs["outcome"].tolist() == ["lost"] * 3 and results.steps.empty

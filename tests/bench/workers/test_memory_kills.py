@@ -45,7 +45,7 @@ def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return path
 
     monkeypatch.setattr(supervise, "Path", opened)
-    monkeypatch.setattr(supervise, "_start", lambda process: None)
+    monkeypatch.setattr(supervise, "_start_process", lambda process: None)
     return path
 
 
