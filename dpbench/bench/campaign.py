@@ -19,7 +19,7 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.dispatcher import Dispatcher, longest
+from dpbench.bench.engines.dispatcher import Dispatcher, longest_cell
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
@@ -138,7 +138,7 @@ class Campaign:
     def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make the files that hold capability plots; failures appear in their cells."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
-        cells = {self.sources.path(key): longest(self._at_boundary[key]) for key in wanted}
+        cells = {self.sources.path(key): longest_cell(self._at_boundary[key]) for key in wanted}
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
         for _ in dispatcher.make_files(make_source, unmade):
             pass

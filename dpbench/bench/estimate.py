@@ -48,7 +48,7 @@ class Rates:
     def seconds_of(self, cell: Cell) -> float:
         """Return the time of a cell."""
         step_s = self.steps_s.get(_kind(cell), STEP_S - JUDGE_STEP_S)
-        return CELL_S + (step_s + JUDGE_STEP_S) * recorded_steps(cell)
+        return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
 
 STATED = Rates("stated rates of another machine; those of this one need a run in the same --out")
@@ -102,7 +102,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def recorded_steps(cell: Cell) -> int:
+def count_recorded_steps(cell: Cell) -> int:
     """Return the steps that a cell leaves in the tables."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
@@ -111,7 +111,7 @@ def _kind(cell: Cell) -> Kind:
     return tuple(str(getattr(cell, name)) for name in _KIND)
 
 
-def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
+def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
     """Estimate cells at these rates, without capability plots.
 
     `slots` are closed loops at a time; replays along a loop run one after the other.
@@ -122,11 +122,11 @@ def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estim
         cells=len(to_run),
         refused=len(planned) - len(to_run),
         unmeasured=len(to_run) - len(measured),
-        steps=sum(recorded_steps(p.cell) for p in to_run),
+        steps=sum(count_recorded_steps(p.cell) for p in to_run),
         time_s=sum(rates.seconds_of(p.cell) / (1 if p.cell.is_timed else slots) for p in measured),
         size_bytes=sum(
             (1 + len(p.alias_settings))
-            * (rates.run_bytes + rates.step_bytes * recorded_steps(p.cell))
+            * (rates.run_bytes + rates.step_bytes * count_recorded_steps(p.cell))
             for p in measured
         ),
         slots=slots,
@@ -172,4 +172,4 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()
-    return estimated(plan.cells, count_slots(jobs), read_rates(default_folder(plan, out)))
+    return estimate_cells(plan.cells, count_slots(jobs), read_rates(default_folder(plan, out)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, read_rates
+from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimate_cells, read_rates
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
@@ -28,7 +28,7 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
     rates = Rates("a test", {kind: 0.004})
     loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
     replays = [cell("osqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3
-    found = estimated([*loops, *replays], slots, rates)
+    found = estimate_cells([*loops, *replays], slots, rates)
     of_loops = 120 * CELL_S + 36_000 * (0.004 + JUDGE_STEP_S) + 30_000 * STEP_S
     of_replays = 3 * (CELL_S + 205 * STEP_S)
     assert found.time_s == pytest.approx(of_loops / slots + of_replays)
@@ -39,7 +39,7 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 def test_what_does_not_run_takes_nothing() -> None:
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
-    found = estimated([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
+    found = estimate_cells([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 

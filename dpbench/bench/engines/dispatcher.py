@@ -115,7 +115,7 @@ class Dispatcher:
                 break
             self._blocked.append(self._waiting.popleft())
             self._being_made.update(new)
-            self._open_steps |= {key: longest(self._of_key[key]).last_step for key in new}
+            self._open_steps |= {key: longest_cell(self._of_key[key]).last_step for key in new}
             keys += new
         self._ready.extend(self._source_batches(keys))
 
@@ -127,7 +127,7 @@ class Dispatcher:
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):
-            cells = {self._sources.path(key): longest(self._of_key[key]) for key in group}
+            cells = {self._sources.path(key): longest_cell(self._of_key[key]) for key in group}
             texts = {path: cell.to_json() for path, cell in cells.items()}
             yield FileBatch(make_source, texts, are_sources=True)
 
@@ -193,7 +193,9 @@ class Dispatcher:
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
-        return key in self._remade or not self._engine.has_source(key, longest(self._of_key[key]))
+        return key in self._remade or not self._engine.has_source(
+            key, longest_cell(self._of_key[key])
+        )
 
     def _count_result(self, batch: CellBatch, job: CellJob) -> None:
         """Show the work of a finished cell; release its source behind the last one."""
@@ -252,7 +254,7 @@ class Dispatcher:
                 yield batch, [Result(name, Outcome("lost", reason)) for name in batch.names]
 
 
-def longest(jobs: Sequence[CellJob]) -> Cell:
+def longest_cell(jobs: Sequence[CellJob]) -> Cell:
     """Return, of the cells of one source, the one that needs most of it."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 

@@ -14,7 +14,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.child import missing, needed, template_context
 from dpbench.bench.workers.executor import CellExecutor
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, solvers_of
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.locks import Patience
 
@@ -39,7 +39,7 @@ class LocalEngine(ExitStack):
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the template of processes."""
-        solvers = solvers_of(jobs)
+        solvers = list_solvers(jobs)
         if missing(needed(solvers)):
             progress.remark(COMPILING)
         self._sources = sources

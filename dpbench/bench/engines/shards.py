@@ -19,8 +19,8 @@ from dpbench.bench.workers.jobs import (
     CellJob,
     configuration_key,
     count_steps,
+    group_by_problem,
     group_by_source,
-    interleaved,
 )
 from dpbench.errors import InputError
 
@@ -93,7 +93,7 @@ def _job_steps(job: CellJob) -> int:
 
 def _smallest_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Return jobs of one source in the smallest groups that stay together."""
-    units = interleaved([job for job in jobs if job.cell.is_timed])
+    units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
         if not job.cell.is_timed:

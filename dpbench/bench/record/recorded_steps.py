@@ -130,7 +130,7 @@ class StepsOnDisk:
     def _check(self, schema: pa.Schema) -> None:
         missing = sorted(KEYS - self._stored)
         if missing:
-            raise lacking(self._path, missing)
+            raise missing_columns_error(self._path, missing)
         for name in STEP_COLUMNS.keys() & self._stored:
             if not _is_compatible(schema.field(name).type, name):
                 raise wrong_type_error(self._path, f"{name}: {schema.field(name).type}")
@@ -210,7 +210,7 @@ def readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-def lacking(path: Path, columns: Sequence[str]) -> ResultsError:
+def missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
     """Return the error of a table without some columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")

@@ -28,7 +28,7 @@ from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
     StepTable,
-    lacking,
+    missing_columns_error,
     readable,
     wrong_type_error,
 )
@@ -316,7 +316,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     with readable(path), opened_table(path, error=ResultsError) as file:
         table = in_full(file.read(), path, error=ResultsError)
     if missing := sorted({"run_id", "schema"} - set(table.column_names)):
-        raise lacking(path, missing)
+        raise missing_columns_error(path, missing)
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
         # Before its columns are read: another schema has others.

@@ -21,7 +21,7 @@ from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
 from dpbench.bench.workers.shared_status import Phase, set_phase
-from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
+from dpbench.bench.workers.worker import BatchCell, evaluate_batch, find_hang, run_batch
 
 EVALUATION_LIMIT_S = 600.0
 
@@ -160,7 +160,7 @@ class CellRun:
             if outcome is None or outcome.outcome != "hung":
                 continue
             raw = self.folder / f"{batch_cell.name}.raw"
-            hang = hang_of(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
+            hang = find_hang(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
             if hang is not None:
                 del ended[batch_cell.name]
                 self._cells[i] = replace(batch_cell, hung=(*batch_cell.hung, hang))

@@ -32,7 +32,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.worker import Hang, ReplayOrder, hang_of, serve_replays
+from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays
 
 STARTED_TOGETHER = 4
 DISTURBED_RETRIES = 1
@@ -203,7 +203,7 @@ class ReplayGroup:
         """Return whether a worker killed in a step goes on in a new process."""
         if worker.child.outcome().outcome != "hung":
             return False
-        hang = hang_of(worker.cell, worker.child.raw_path, worker.hung)
+        hang = find_hang(worker.cell, worker.child.raw_path, worker.hung)
         if hang is None:
             return False
         worker.child.dismiss()

@@ -152,7 +152,7 @@ def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
     return of_key
 
 
-def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
+def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
     """Group replay jobs by their QPs; those of a group are timed by turns."""
     groups: dict[str, list[CellJob]] = {}
     for job in jobs:
@@ -171,7 +171,7 @@ def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBa
     All configurations meet a sea at about the same time, so that its source is released soon.
     """
     if kind == "replays":
-        return [CellBatch(kind, group) for group in interleaved(jobs)]
+        return [CellBatch(kind, group) for group in group_by_problem(jobs)]
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
         alike.setdefault(configuration_key(job.cell), []).append(job)
@@ -222,7 +222,7 @@ def cell_label(cell: Cell) -> str:
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
-def solvers_of(jobs: Iterable[CellJob]) -> list[str]:
+def list_solvers(jobs: Iterable[CellJob]) -> list[str]:
     """Name the solvers of cells, and their backups, each once."""
     names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
     return [*dict.fromkeys(names)]

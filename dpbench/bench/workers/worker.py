@@ -99,7 +99,7 @@ class BatchCell:
     hung: tuple[Hang, ...] = ()
 
 
-def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
+def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Return round and step in which the killed process of a cell hung, by its log.
 
     None where it cannot go on behind it: it hung too often, outside of its steps, or on a slow
