@@ -145,20 +145,17 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
     """
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
-    _check_names("controllers", [controller.name for controller in controllers])
-    _check_names("vessels", [vessel.stem for vessel in vessels])
+    given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
+    for key, names in given.items():
+        for name in names:
+            if names.count(name) > 1:
+                allowed = "files of different names, each once"
+                raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
     return [
         Design(controller.name, _trial_files(controller, vessel))
         for controller in controllers
         for vessel in vessels
     ]
-
-
-def _check_names(key: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            allowed = "files of different names, each once"
-            raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
 
 
 def _trial_files(controller: Scenario, vessel: Path) -> ScenarioDocuments:
@@ -184,7 +181,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
 
     An offset with a step without a certified optimum does not count as held.
     """
-    scale = _model_scale(scenario)
+    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
     tail = round(TAIL_S * scale.time / scenario.sample_s)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
@@ -197,10 +194,6 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
         if not (away <= TOLERANCE_M * scale.length).all():
             return False
     return True
-
-
-def _model_scale(scenario: Scenario) -> Froude:
-    return Froude(float(scenario.files["vessel"]["model_scale"]))
 
 
 def find_bracket(holds: Callable[[float], bool]) -> Bracket:

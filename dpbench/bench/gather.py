@@ -142,14 +142,11 @@ def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.Da
         _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
         for other in others:
             store.adopt(other)
-            for path in filter(_is_extra_file, other.folder.iterdir()):
-                write_bytes(store.folder / path.name, path.read_bytes())
+            for path in other.folder.iterdir():
+                # No link to other files.
+                if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
+                    write_bytes(store.folder / path.name, path.read_bytes())
         return store.rows(), [line for one in (store, *others) for line in one.remarks]
-
-
-def _is_extra_file(path: Path) -> bool:
-    """Return whether a file is a design or a capability plot, and no link."""
-    return _EXTRA_FILE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
 def _refuse_versions(rows: pd.DataFrame) -> None:

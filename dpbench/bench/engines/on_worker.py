@@ -114,11 +114,11 @@ def make_files(
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
         results = _completed(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
-        return {paths[Path(r.run_id)]: _made_file(Path(r.run_id), r.outcome) for r in results}
-
-
-def _made_file(path: Path, outcome: Outcome) -> MadeFile:
-    return MadeFile(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
+        made = {}
+        for path, outcome in ((Path(result.run_id), result.outcome) for result in results):
+            data = path.read_bytes() if outcome.outcome == "finished" else b""
+            made[paths[path]] = MadeFile(outcome, data)
+        return made
 
 
 def return_file(made: MadeFile) -> MadeFile:

@@ -35,7 +35,7 @@ from dpbench.bench.record.cell import (
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import vessel_files, vessel_of
@@ -76,6 +76,7 @@ def plan_cell(
     fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
+    own_limit_s = table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
     cell = Cell(
         solver=configuration.solver,
         route=configuration.route,
@@ -83,7 +84,7 @@ def plan_cell(
         settings=configuration.settings,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **fields),
+        limit_s=(own_limit_s or suite.cell_limit_s) + _waiting_s(configuration, **fields),
         solver_module=module_of(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
@@ -133,11 +134,6 @@ def replay_cells(
         for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
     ]
-
-
-def _own_limit_s(table: Table) -> float | None:
-    """Return the limit of a table's cells, where it has one of its own."""
-    return table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
 
 
 def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
@@ -208,9 +204,10 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
-    return [_cell_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
-
-
-def _cell_of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
-    planned = replace(blank, cell=replace(blank.cell, source=RandomSource.of(recipe)))
-    return _refuse_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned
+    cells: list[PlannedCell] = []
+    for recipe in table.recipes():
+        source = RandomSource.of(recipe)
+        planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
+        semidefinite = FAMILIES[recipe.family].semidefinite
+        cells += map(_refuse_semidefinite, planned) if semidefinite else planned
+    return cells

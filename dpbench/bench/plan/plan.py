@@ -185,15 +185,15 @@ def _replay_cells(
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
     """Refuse a window that is larger than its stretch, or of other QPs than a loop's."""
-    where = f"suite: replay of {scenario.name}"
+    allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.consequence:
+    elif table.consequence:
         allowed = "0 with consequence: hardness is that of the controller's QPs"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.horizons:
+    elif table.horizons:
         allowed = "0 with horizons: each pair has other hardest steps, and they are compared"
+    if allowed:
+        where = f"suite: replay of {scenario.name}"
         raise InputError(where, "hardest", table.hardest, allowed)
 
 

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_info
 
 from dpbench.bench.record.result_folder import ComparedMachine, MachineDescription, SuiteDescription
 
+_CPU = Path("/sys/devices/system/cpu/cpu0")
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -52,7 +53,7 @@ def describe_machine() -> MachineDescription:
     That is CPU model, cores, memory, kernel release, Python and the libraries of every
     configuration; a solver's own version is part of each cell's key instead.
     """
-    read_cost, resolution = clock_read_ns()
+    (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
     lasting: ComparedMachine = {
         "cpu_model": _cpu_model(),
         "cores": os.cpu_count() or 1,
@@ -65,10 +66,10 @@ def describe_machine() -> MachineDescription:
     return {
         "id": digest[:12],
         **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
-        "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
-        "frequency_MHz": _frequency(),
+        "governor": _governor(),
+        "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
         "blas": _blas(),
-        "throttle_counters": "visible" if _throttle_visible() else "not visible",
+        "throttle_counters": "visible" if (_CPU / "thermal_throttle").is_dir() else "not visible",
         "affinity": sorted(os.sched_getaffinity(0)),
         "clock_read_ns": read_cost,
         "timer_resolution_ns": resolution,
@@ -83,9 +84,9 @@ def _version(distribution: str) -> str:
         return "not installed"
 
 
-def _first_line(path: str) -> str:
+def _governor() -> str:
     try:
-        return Path(path).read_text(encoding="ascii").strip()
+        return (_CPU / "cpufreq" / "scaling_governor").read_text(encoding="ascii").strip()
     except OSError:
         return "not visible"
 
@@ -101,10 +102,6 @@ def _blas() -> list[str]:
     ]
 
 
-def _throttle_visible() -> bool:
-    return Path("/sys/devices/system/cpu/cpu0/thermal_throttle").is_dir()
-
-
 def _cpu_model() -> str:
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
@@ -113,11 +110,6 @@ def _cpu_model() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
-
-
-def _frequency() -> float | str:
-    frequency = psutil.cpu_freq()
-    return round(frequency.current) if frequency and frequency.current else "not visible"
 
 
 Revision = dict[str, Any]

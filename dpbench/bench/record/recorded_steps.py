@@ -17,7 +17,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.schema import STEP_COLUMNS, Columns, as_columns, as_steps
+from dpbench.bench.record.schema import STEP_COLUMNS, as_columns, as_steps
 from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     STRING_COLUMNS,
@@ -118,7 +118,7 @@ class StepsOnDisk:
         """Return a run out of its row group, which stays in memory for its neighbours."""
         group = self._group_of.get(run_id)
         if group is None:
-            return as_columns(pd.DataFrame(), _select_columns(columns))
+            return as_columns(pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns})
         first, end = self._run_rows[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
@@ -228,10 +228,6 @@ def places_of(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
-
-
-def _select_columns(columns: Sequence[str]) -> Columns:
-    return {name: STEP_COLUMNS[name] for name in columns}
 
 
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:

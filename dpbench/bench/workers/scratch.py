@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
@@ -50,7 +49,12 @@ class Scratch(ExitStack):
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        self._places = _one_place_per_device([MEMORY, Path(tempfile.gettempdir()), beside])
+        # One place on each file system.
+        by_device: dict[int, Path] = {}
+        for place in (MEMORY, Path(tempfile.gettempdir()), beside):
+            if os.access(place, os.W_OK):
+                by_device.setdefault(place.stat().st_dev, place)
+        self._places = list(by_device.values())
         for place in self._places:
             clear_abandoned(place)
         self._made: dict[Path, Path] = {}
@@ -93,15 +97,6 @@ class Scratch(ExitStack):
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
-
-
-def _one_place_per_device(places: Sequence[Path]) -> list[Path]:
-    """Return one writable place on each file system."""
-    by_device: dict[int, Path] = {}
-    for place in places:
-        if os.access(place, os.W_OK):
-            by_device.setdefault(place.stat().st_dev, place)
-    return list(by_device.values())
 
 
 def _megabytes(size: int) -> str:
