@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -39,3 +41,11 @@ def head(**fields: object) -> str:
     usual = {"solvers": ["daqp"], "baseline_law": False, "cell_limit_s": 60.0}
     values = {"title": "A suite for one test"} | usual | fields
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+
+
+def wait_until(is_true: Callable[[], object], failure: str) -> None:
+    """Wait for some seconds until a condition holds."""
+    deadline = time.monotonic() + 20.0
+    while not is_true():
+        assert time.monotonic() < deadline, failure
+        time.sleep(0.01)

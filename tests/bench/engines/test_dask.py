@@ -126,9 +126,8 @@ def test_a_cluster_of_this_machine_gives_the_same(
     assert_same(out, undisturbed)
     runs = load_results(out).runs
     timed = (runs["mode"] == "replay") & (runs["scenario"] != "")
-    assert (runs.loc[timed, "concurrency"] == 1).all() and runs.loc[
-        ~timed, "concurrency"
-    ].isna().all()
+    assert (runs.loc[timed, "concurrency"] == 1).all()
+    assert runs.loc[~timed, "concurrency"].isna().all()
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
 
 
@@ -244,9 +243,8 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
     lost, remarks = accidents(out)
     runs = load_results(out).runs
-    assert (
-        set(runs["outcome"]) == {"finished", "lost"} and lost == (runs["outcome"] == "lost").sum()
-    )
+    assert set(runs["outcome"]) == {"finished", "lost"}
+    assert lost == (runs["outcome"] == "lost").sum()
     assert any("went away" in line and "same command" in line for line in remarks), remarks
     run_campaign(suite, out)
     assert_same(out, undisturbed)

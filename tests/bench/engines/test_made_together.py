@@ -40,13 +40,11 @@ class Done:
             self.status, self._value = "error", error
 
     def result(self) -> object:
-        """What the task returned, or what became of it."""
         if isinstance(self._value, Exception):
             raise self._value
         return self._value
 
     def add_done_callback(self, call: Callable[[Done], None]) -> None:
-        """It has ended already."""
         call(self)
 
 
@@ -62,15 +60,12 @@ class Client:
         """They are there."""
 
     def scheduler_info(self, n_workers: int) -> dict[str, Any]:
-        """One of them."""
         return {"workers": {"tcp://a:0": {"host": "a", "nthreads": 1, "resources": {}}}}
 
     def run(self, function: Callable[[], object], workers: list[str], on_error: str) -> Any:
-        """What it says."""
         return {address: function() for address in workers}
 
     def submit(self, function: Callable[..., object], *args: Any, key: str, **how: Any) -> Done:
-        """Its future."""
         told = {name: how[name] for name in ("isolated", "alone", "concurrency") if name in how}
 
         def task() -> object:

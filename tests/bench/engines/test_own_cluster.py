@@ -58,7 +58,6 @@ class Visited(Silent):
         self.answers: dict[str, tuple[int | str, int | str, str]] = {}
 
     def advance(self, work: int, what: str) -> None:
-        """Look at every socket of this process and its children, once; send the stranger."""
         if self.listening:
             return
         this = psutil.Process()

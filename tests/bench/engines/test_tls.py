@@ -65,12 +65,8 @@ def test_a_scheduler_with_tls_refuses_others(
 ) -> None:
     plain, other = scheduler.replace("tls://", "tcp://"), written(tmp_path)
     mixed = [files[0], *other[1:]]
-    for address, given in (
-        (scheduler, None),
-        (scheduler, other),
-        (scheduler, mixed),
-        (plain, None),
-    ):
+    tries = ((scheduler, None), (scheduler, other), (scheduler, mixed), (plain, None))
+    for address, given in tries:
         with pytest.raises(InputError, match="which refuses"), connected(address, given):
             pass
     assert capsys.readouterr() == ("", "")

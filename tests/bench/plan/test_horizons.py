@@ -53,11 +53,7 @@ def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
     cells = [planned.cell for planned in plan(_suite("30/5", "60/10", "40/10"))]
     assert [cell.sequence for cell in cells] == ["paper-30-5", "paper-60-10", "paper-40-10"]
     made = [scenario_of(cell.scenario) for cell in cells]
-    assert [(s.problem.N_p, s.problem.N_c) for s in made] == [
-        (30, 5),
-        (60, 10),
-        (40, 10),
-    ]
+    assert [(s.problem.N_p, s.problem.N_c) for s in made] == [(30, 5), (60, 10), (40, 10)]
     assert len({cell.problem_key for cell in cells}) == 3
     assert all(cell.steps == 12 for cell in cells)
 

@@ -20,7 +20,14 @@ from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
-from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.bench.record.schema import (
+    ABSENT,
+    RUN_COLUMNS,
+    SCHEMA_VERSION,
+    STEP_COLUMNS,
+    as_runs,
+    as_steps,
+)
 from dpbench.bench.record.step_table import (
     BatchPart,
     batch_part,
@@ -32,7 +39,7 @@ from dpbench.bench.record.step_table import (
     runs_table,
     step_batch,
 )
-from dpbench.bench.tabulate import tabulate
+from dpbench.bench.tabulate import RequestedRuns, tabulate
 
 
 def steps_of(seed: int, count: int = 7) -> StepColumns:
@@ -340,3 +347,8 @@ def test_tables_are_on_the_disk_before_the_parts_go(
         ("sync", tmp_path.name),
         ("remove", name),
     ]
+
+
+def test_a_shard_without_cells_has_a_table_without_rows() -> None:
+    rows = RequestedRuns([]).rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

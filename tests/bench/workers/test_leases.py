@@ -79,7 +79,6 @@ class Remarks(Silent):
         self._other = other
 
     def waiting(self, text: str) -> None:
-        """Keep it, and end the other."""
         self.waits.append(text)
         self._other.kill()
 

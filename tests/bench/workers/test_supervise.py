@@ -16,6 +16,7 @@ from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import FORKSERVER_DIED, Child, template_context
 from dpbench.bench.workers.worker import write_outcome
+from tests.bench.deterministic import wait_until
 from tests.processes import is_running
 
 # Limits of a second and less, which what else runs could use up.
@@ -27,11 +28,8 @@ def context() -> ForkServerContext:
     return template_context([])
 
 
-def wait(child: Child, seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while child.process.is_alive() and not child.overdue():
-        assert time.monotonic() < deadline, "the supervisor did not end the process"
-        time.sleep(0.01)
+def wait(child: Child) -> None:
+    wait_until(lambda: not child.process.is_alive() or child.overdue(), "it was not ended")
 
 
 SOLVER = """
@@ -194,10 +192,7 @@ def test_of_two_processes_of_one_start_one_lives(
     file = tmp_path / "came"
     code = f"import os, time\nopen({str(file)!r}, 'a').write(f'{{os.getpid()}} ')\ntime.sleep(60)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0, logs=False)
-    deadline = time.monotonic() + 20.0
-    while is_running(begun[0]) or not has_come(file, child):
-        assert time.monotonic() < deadline, "two are at work"
-        time.sleep(0.01)
+    wait_until(lambda: not is_running(begun[0]) and has_come(file, child), "two are at work")
     came = [int(pid) for pid in file.read_text().split()]
     assert came[-1] == child.process.pid
     # At once it may be on either side of its beginning.
