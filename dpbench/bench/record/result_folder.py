@@ -344,8 +344,8 @@ def read_json(path: Path) -> dict[str, Any]:
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 of those files of a folder that exist, by name."""
     found = {}
-    for path in (folder / name for name in names):
-        if path.is_file():
-            with path.open("rb") as file:
-                found[path.name] = hashlib.file_digest(file, "sha256").hexdigest()
+    for name in names:
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                found[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return found
