@@ -86,7 +86,8 @@ def test_what_was_killed_goes_on_as_if_nothing_was(
     done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, check=False)
     assert done.returncode == -9, done.stderr
     before = CellStore(out)
-    assert len(before.finished) == finished
+    # The last batch that was stored may have had two cells.
+    assert finished <= len(before.finished) <= finished + 1
     times = before.rows()["raw_max_ns"].to_dict()
     run_campaign(suite, out)
     results = load_results(out)
