@@ -21,5 +21,17 @@ class Progress(Protocol):
         """Show the reason of a wait, even where all else is silent."""
 
 
-class Silent(Progress):
+class Silent:
     """A progress that shows nothing."""
+
+    def start(self, work: int) -> None:
+        """Show nothing."""
+
+    def advance(self, work: int, what: str) -> None:
+        """Show nothing."""
+
+    def remark(self, text: str) -> None:
+        """Show nothing."""
+
+    def waiting(self, text: str) -> None:
+        """Show nothing."""
