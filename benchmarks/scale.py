@@ -34,10 +34,9 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.finished_batch import Row, batch_part
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.step_table import STEPS_SCHEMA
+from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, batch_part
 from dpbench.bench.workers.jobs import BATCH_CELLS
 from dpbench.solvers.table import available
 

@@ -1,10 +1,9 @@
-"""Stability of controllers in ships, and how far off sideways each still brings its ship back from.
+"""Stability of controllers in ships, and the largest sway offset each one recovers from.
 
 A design is the controller of one scenario in one vessel. Without limits its loop is linear, and
-stable where the roots of paper eq. 35 lie inside the unit circle. With limits the ship starts at
-rest at a pure sway offset, from starboard and from port, and the certified optimum of every step
-steers it; an offset is held when from both sides the ship stays near the reference over the end of
-a long run. No solver has a part in it.
+stable where the roots of paper eq. 35 are inside the unit circle. With limits the ship starts at
+rest at a sway offset, to starboard and to port, steered by the certified optimum of every step; an
+offset is held when from both sides the ship stays near the reference over the end of a long run.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.descriptions import validated
-from dpbench.bench.record.result_folder import read_json, write_json
+from dpbench.bench.record.result_folder import read_json, validated, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.worker import pin, settle, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
@@ -65,7 +63,7 @@ Holds = Callable[[Scenario, float, Sequence[float]], bool]
 
 @dataclass(frozen=True)
 class Bracket:
-    """Sway offsets at full size: up to `holds_m` all that were tried are held, `fails_m` is not.
+    """Sway offsets at full size: all tried up to `holds_m` are held, `fails_m` is not.
 
     `holds_m` is 0 when the smallest is not held, `fails_m` None when all of them are.
     """
@@ -76,11 +74,10 @@ class Bracket:
 
 @dataclass(frozen=True)
 class DesignRecord:
-    """What was found of a design.
+    """Result of a design.
 
     Parameters
     ----------
-    vessel, controller : names of the vessel and of the scenario the controller is that of.
     tuning, N_p, N_c : of the controller.
     eigenvalues : real and imaginary parts of the closed loop without limits, by falling modulus.
     held : the bracket of each weather.
@@ -96,13 +93,13 @@ class DesignRecord:
 
     @property
     def spectral_radius(self) -> float:
-        """The largest modulus; below 1 the loop is stable as long as no limit is active."""
+        """Largest modulus; below 1 the loop is stable without active limits."""
         return float(np.hypot(*self.eigenvalues[0]))
 
 
 @dataclass(frozen=True)
 class MissingDesign:
-    """A design that could not be looked into, and why."""
+    """A design without a record, and the reason."""
 
     vessel: str
     controller: str
@@ -111,7 +108,7 @@ class MissingDesign:
 
 @dataclass(frozen=True)
 class Designs:
-    """The content of `design.json`."""
+    """Content of `design.json`."""
 
     # A key too many or a number that is none is damage.
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -123,7 +120,7 @@ class Designs:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A design to look into: `files` as in `Scenario.files`, in the weather of `calm`."""
+    """A design to study: `files` as in `Scenario.files`, in the weather of `calm`."""
 
     controller: str
     files: ScenarioDocuments
@@ -140,7 +137,7 @@ class Design:
 
 
 def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Every controller of the table in every vessel of it; paths are relative to `beside`.
+    """Return every controller of the table in every vessel; paths are relative to `beside`.
 
     Raises
     ------
@@ -148,8 +145,12 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
     """
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
-    _different("controllers", [controller.name for controller in controllers])
-    _different("vessels", [vessel.stem for vessel in vessels])
+    given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
+    for key, names in given.items():
+        for name in names:
+            if names.count(name) > 1:
+                allowed = "files of different names, each once"
+                raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
     return [
         Design(controller.name, _trial_files(controller, vessel))
         for controller in controllers
@@ -157,15 +158,8 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
     ]
 
 
-def _different(key: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            allowed = "files of different names, each once"
-            raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
-
-
 def _trial_files(controller: Scenario, vessel: Path) -> ScenarioDocuments:
-    """The documents of a trial: a controller in a vessel, in the weather of `calm`."""
+    """Return the documents of a controller in a vessel, in the weather of `calm`."""
     own = controller.files["scenario"]
     files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
     trial = files["scenario"] | {
@@ -183,11 +177,11 @@ SIDES = (1.0, -1.0)
 
 
 def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
-    """Whether the ship comes back from this offset at full size, from both sides.
+    """Return whether the ship comes back from this offset at full size, from both sides.
 
-    A step without a certified optimum says nothing; such an offset does not count as held.
+    An offset with a step without a certified optimum does not count as held.
     """
-    scale = _scale(scenario)
+    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
     tail = round(TAIL_S * scale.time / scenario.sample_s)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
@@ -202,14 +196,10 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     return True
 
 
-def _scale(scenario: Scenario) -> Froude:
-    return Froude(float(scenario.files["vessel"]["model_scale"]))
-
-
 def find_bracket(holds: Callable[[float], bool]) -> Bracket:
     """Double the offset until one is not held, then bisect to `WIDTH`.
 
-    It is not narrowed when the smallest offset is not held, as then nothing is known to be.
+    It is not narrowed when the smallest offset is not held.
     """
     held = 0.0
     for offset in OFFSETS_M:
@@ -229,7 +219,7 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
 
 
 def design_record(design: Design) -> DesignRecord:
-    """Look into a design, in this process."""
+    """Return the record of a design."""
     scenario, documents = scenario_of(design.files), design.files["scenario"]
     still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
     held = {
@@ -240,7 +230,7 @@ def design_record(design: Design) -> DesignRecord:
 
 
 def linear_record(scenario: Scenario) -> DesignRecord:
-    """What is known of a scenario's controller without a trial: the roots of paper eq. 35."""
+    """Return the record of a scenario's controller without a trial (paper eq. 35)."""
     problem = scenario.problem
     roots = closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
@@ -255,11 +245,9 @@ def linear_record(scenario: Scenario) -> DesignRecord:
 
 
 def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
-    """The bracket of the scenario's controller in its vessel, whatever its weather, plant or goal.
+    """Return the bracket of the scenario's controller in its vessel in still water.
 
-    Parameters
-    ----------
-    holds : says of a trial, an offset [m] and its sides whether the ship comes back.
+    `holds` tells of a trial, an offset [m] and its sides whether the ship comes back.
     """
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
@@ -272,23 +260,17 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
 
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Look into a design, in a process of its own; its record appears in `path`."""
+    """Write the record of a design to `path`, in a process of its own."""
     pin(core)
     settle()
-    _write(path, Designs((design_record(Design(**json.loads(text))),)))
+    _write_designs(path, Designs((design_record(Design(**json.loads(text))),)))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:
-    """The designs of a suite; finished ones lie in the cells folder, one record each.
+    """The designs of a suite; finished ones are stored in the folder `cells`.
 
-    Parameters
-    ----------
-    designs : of `plan_designs`; cells : the folder; fresh : whether finished ones run again.
-
-    Attributes
-    ----------
-    lost : of each design that an accident of the benchmark cost, the cause.
+    `lost` has the cause of each design that an accident of the benchmark cost.
     """
 
     def __init__(
@@ -302,18 +284,18 @@ class DesignStudy:
             self._designs[cells / f"design-{key}.json"] = design
         self._reasons: dict[Path, str] = {}
         self.lost: list[str] = []
-        self._pending = [path for path in self._designs if fresh or _record(path) is None]
+        self._pending = [path for path in self._designs if fresh or _read_record(path) is None]
 
     def __len__(self) -> int:
         return len(self._designs)
 
     @property
     def work(self) -> int:
-        """What is left to do, for the progress bar."""
+        """Remaining work, for the progress bar."""
         return WORK * len(self._pending)
 
     def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
-        """Look into what is not finished."""
+        """Run the unfinished designs."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
@@ -329,7 +311,7 @@ class DesignStudy:
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
-        records = {path: _record(path) for path in self._designs}
+        records = {path: _read_record(path) for path in self._designs}
         gone = "its record is gone"
         missing = [
             MissingDesign(design.vessel, design.controller, self._reasons.get(path, gone))
@@ -337,24 +319,24 @@ class DesignStudy:
             if records[path] is None
         ]
         finished = tuple(record for record in records.values() if record is not None)
-        _write(out / DESIGN_FILE, Designs(finished, tuple(missing)))
+        _write_designs(out / DESIGN_FILE, Designs(finished, tuple(missing)))
 
 
-def _write(path: Path, designs: Designs) -> None:
+def _write_designs(path: Path, designs: Designs) -> None:
     write_json(path, asdict(designs))
 
 
-def _record(path: Path) -> DesignRecord | None:
-    """The record of a finished design; None where there is none, or it is damaged."""
+def _read_record(path: Path) -> DesignRecord | None:
+    """Return the record of a finished design; None where it is missing or damaged."""
     try:
-        (record,) = _read(path).records
+        (record,) = _read_designs(path).records
     except (ResultsError, ValueError):
         return None
     return record
 
 
 def load_designs(folder: Path) -> Designs | None:
-    """Read the `design.json` of a result folder; None where there is none, or an older one.
+    """Read the `design.json` of a result folder; None where it is missing or older.
 
     Raises
     ------
@@ -368,10 +350,10 @@ def load_designs(folder: Path) -> Designs | None:
         older = f"{path}: designs of schema {schema} are not shown; run again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
-    return _read(path)
+    return _read_designs(path)
 
 
-def _read(path: Path) -> Designs:
+def _read_designs(path: Path) -> Designs:
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"

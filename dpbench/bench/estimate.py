@@ -1,4 +1,4 @@
-"""What a campaign will take: by the runs of its last result folder, or by stated rates.
+"""Estimates of the time of a campaign: by the runs of its last result folder, or stated rates.
 
     time = Σ over cells (CELL_S + (step of its kind + JUDGE_STEP_S) · steps) / slots
 
@@ -19,9 +19,8 @@ from dpbench.bench.campaign import default_folder
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.errors import InputError, ResultsError
@@ -36,12 +35,9 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """What the steps and rows of a campaign take.
+    """Rates of steps and rows of a campaign.
 
-    Parameters
-    ----------
-    steps_s : of kinds that were run before, a step [s]; `STEP_S` of all others.
-    origin : where these numbers come from.
+    `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
     """
 
     origin: str
@@ -50,9 +46,9 @@ class Rates:
     run_bytes: float = RUN_BYTES
 
     def seconds_of(self, cell: Cell) -> float:
-        """Return what a cell takes."""
+        """Return the time of a cell."""
         step_s = self.steps_s.get(_kind(cell), STEP_S - JUDGE_STEP_S)
-        return CELL_S + (step_s + JUDGE_STEP_S) * recorded_steps(cell)
+        return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
 
 STATED = Rates("stated rates of another machine; those of this one need a run in the same --out")
@@ -60,16 +56,16 @@ STATED = Rates("stated rates of another machine; those of this one need a run in
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a campaign will take.
+    """Estimate of a campaign.
 
     Parameters
     ----------
-    cells, refused : how many run, and how many are rows without running.
-    unmeasured : how many run whose time and size are in none of these figures.
-    steps : that are recorded, of all rounds.
+    cells, refused : cells that run, and rows without running.
+    unmeasured : cells whose time and size are in none of these figures.
+    steps : recorded steps, of all rounds.
     time_s : on so many slots, without the report; size_bytes : of its tables.
     slots : closed loops at a time.
-    rates : where the rates come from.
+    rates : origin of the rates.
     """
 
     cells: int
@@ -83,7 +79,7 @@ class Estimate:
 
     @property
     def lines(self) -> list[str]:
-        """What to print of it."""
+        """Lines to print."""
         refused = f" and {_count(self.refused)} refused" if self.refused else ""
         apart = f"; {_count(self.unmeasured)} more of capability plots" if self.unmeasured else ""
         return [
@@ -99,15 +95,15 @@ def _count(number: int) -> str:
 
 
 def _duration(seconds: float) -> str:
-    """In the unit that leaves two digits or three."""
+    """Return a text in the unit that leaves two or three digits."""
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds:.2g} s"
 
 
-def recorded_steps(cell: Cell) -> int:
-    """Steps that a cell leaves in the tables when it comes to its end."""
+def count_recorded_steps(cell: Cell) -> int:
+    """Return the steps that a cell leaves in the tables."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
@@ -115,12 +111,10 @@ def _kind(cell: Cell) -> Kind:
     return tuple(str(getattr(cell, name)) for name in _KIND)
 
 
-def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Say what cells take at these rates; nothing is known of capability plots.
+def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
+    """Estimate cells at these rates, without capability plots.
 
-    Parameters
-    ----------
-    slots : closed loops at a time; replays along a loop run one after the other.
+    `slots` are closed loops at a time; replays along a loop run one after the other.
     """
     to_run = [p for p in planned if not p.refused]
     measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
@@ -128,11 +122,11 @@ def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estim
         cells=len(to_run),
         refused=len(planned) - len(to_run),
         unmeasured=len(to_run) - len(measured),
-        steps=sum(recorded_steps(p.cell) for p in to_run),
+        steps=sum(count_recorded_steps(p.cell) for p in to_run),
         time_s=sum(rates.seconds_of(p.cell) / (1 if p.cell.is_timed else slots) for p in measured),
         size_bytes=sum(
             (1 + len(p.alias_settings))
-            * (rates.run_bytes + rates.step_bytes * recorded_steps(p.cell))
+            * (rates.run_bytes + rates.step_bytes * count_recorded_steps(p.cell))
             for p in measured
         ),
         slots=slots,
@@ -140,7 +134,7 @@ def estimated(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estim
     )
 
 
-def rates_of(folder: Path) -> Rates:
+def read_rates(folder: Path) -> Rates:
     """Read the rates of the runs in a result folder; `STATED` where it has none."""
     try:
         runs = load_results(folder, without_steps=True).runs
@@ -169,7 +163,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Say what `run_campaign` would take on this machine, of which `asked` are other arguments.
+    """Estimate `run_campaign` on this machine; `asked` are other arguments of it.
 
     Raises
     ------
@@ -178,4 +172,4 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()
-    return estimated(plan.cells, count_slots(jobs), rates_of(default_folder(plan, out)))
+    return estimate_cells(plan.cells, count_slots(jobs), read_rates(default_folder(plan, out)))

@@ -1,4 +1,4 @@
-"""Who is told how far a long work is."""
+"""Receivers of the progress of a campaign."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Who is told how far a campaign is; `work` is in steps."""
+    """Receiver of the progress of a campaign; `work` is in steps."""
 
     def start(self, work: int) -> None:
-        """So much is to be done."""
+        """Set the work to do."""
 
     def advance(self, work: int, what: str) -> None:
-        """So much is done now, the last of it on `what`."""
+        """Add finished work, the last of it on `what`."""
 
     def remark(self, text: str) -> None:
-        """Something worth knowing before it goes on."""
+        """Show a remark."""
 
     def waiting(self, text: str) -> None:
-        """What it waits for, shown even where all else is silent."""
+        """Show the reason of a wait, even where all else is silent."""
 
 
 class Silent:
@@ -31,7 +31,7 @@ class Silent:
         """Show nothing."""
 
     def remark(self, text: str) -> None:
-        """Say nothing."""
+        """Show nothing."""
 
     def waiting(self, text: str) -> None:
-        """Say nothing."""
+        """Show nothing."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from dpbench.bench.judge.answer_caching import with_loop_ratio
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.configurations import identity_of
+from dpbench.bench.plan.configurations import library_identity
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.cell_store import (
     CellStore,
@@ -21,21 +21,21 @@ from dpbench.bench.record.cell_store import (
     rows_of,
     without_steps,
 )
-from dpbench.bench.record.finished_batch import DAMAGE
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import (
+    DAMAGE,
     FILE_SCHEMA,
     filter_runs,
     frame_of_runs,
     rename_runs,
-    runs_of_frame,
+    table_of_runs,
 )
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The rows that a campaign is asked for, in their order.
+    """The requested rows of a campaign, in order.
 
     A cell whose settings have no effect has rows under each of its names.
     """
@@ -47,27 +47,27 @@ class RequestedRuns:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:
                 cell = job.cell.with_settings(settings)
-                identity = identity_of(cell, job.library)
+                identity = library_identity(cell, job.library)
                 run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """One row each: of those that are `finished`, or of what became of the others."""
+        """Return one row each: a finished one, or the outcome of an unfinished one."""
         own = finished[finished.index.isin(self.jobs)]
         aliases = self.aliases(finished)
         others = [
-            self._row(run_id, *job)
+            self._unfinished_row(run_id, *job)
             for run_id, job in self.jobs.items()
             if run_id not in own.index and run_id not in aliases
         ]
-        tables = [own, self._renamed(finished, aliases), as_runs(pd.DataFrame(others))]
+        tables = [own, self._alias_rows(finished, aliases), as_runs(pd.DataFrame(others))]
         filled = [table.set_index("run_id", drop=False) for table in tables if len(table)]
         if not filled:
             return as_runs(pd.DataFrame())
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
-    def _renamed(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """The rows of cells under further names of their settings."""
+    def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
+        """Return the rows of cells under further names of their settings."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
@@ -76,8 +76,8 @@ class RequestedRuns:
             run_id=list(aliases), settings=settings, cell=[cell.to_json() for cell in cells]
         )
 
-    def _row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
-        """The row of a cell that is not finished."""
+    def _unfinished_row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
+        """Return the row of an unfinished cell."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
@@ -85,7 +85,7 @@ class RequestedRuns:
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Of the rows that have to be made, what they are made of, by new run_id."""
+        """Return the finished runs behind rows that are to be made, by new run_id."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()
@@ -93,7 +93,7 @@ class RequestedRuns:
         }
 
 
-_SELECTED = (
+_SELECTION_COLUMNS = (
     *("mode", "scenario", "sequence", "solver", "route", "policy", "formulation", "units"),
     *("slowdown", "steps_planned", "study", "study_point", "replicate", "settings"),
 )
@@ -101,31 +101,33 @@ _SELECTED = (
 
 
 def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
-    """InputError where the tables of `out` have finished runs that none of `cells` is.
+    """Raise InputError where `out` has finished runs other than `cells`.
 
-    Parameters
-    ----------
-    remedy : what to do then.
+    `remedy` is the advice in the error.
     """
     asked = {
-        (*_selected(planned.cell), settings)
+        (*_selection_of(planned.cell), settings)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
     rows = frame_of_runs(PublicTables(out).table())
     rows = rows[rows["outcome"] != "refused"]
-    values = rows[list(_SELECTED)].astype(object).where(rows[list(_SELECTED)].notna(), None)
+    values = (
+        rows[list(_SELECTION_COLUMNS)]
+        .astype(object)
+        .where(rows[list(_SELECTION_COLUMNS)].notna(), None)
+    )
     others = [row for row in values.itertuples(index=False, name=None) if row not in asked]
     if others:
-        first = dict(zip(_SELECTED, others[0], strict=True))
+        first = dict(zip(_SELECTION_COLUMNS, others[0], strict=True))
         place = first["sequence"] or first["scenario"]
         example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
         found = f"{out} with {len(others)} finished runs that are not asked for, as of {example}"
         raise InputError("--out", "", found, remedy)
 
 
-def _selected(cell: Cell) -> tuple[object, ...]:
-    """What `_SELECTED` is of a cell, less its settings."""
+def _selection_of(cell: Cell) -> tuple[object, ...]:
+    """Return the values of `_SELECTION_COLUMNS` of a cell, less its settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
@@ -133,20 +135,20 @@ def _selected(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Whether the public tables are those that `tabulate` would make of what is there."""
+    """Return whether the public tables are those that `tabulate` would make."""
     wanted = list(RequestedRuns(work).jobs)
-    in_parts = {name for part in store.parts for name in part.names()}
+    in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
     return wanted == store.public.names() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Make the public tables of a campaign; cells that it is not asked for stay in parts.
+    """Make the public tables of a campaign; cells that were not requested stay in parts.
 
     Memory is that of two row groups, and of the rows of the runs.
 
     Returns
     -------
-    The rows of `runs.parquet`, and how many `steps.parquet` has.
+    The rows of `runs.parquet`, and the number of those of `steps.parquet`.
     """
     wanted, old = RequestedRuns(work), list(store.parts)
     stored, sources = store.collect()
@@ -154,12 +156,12 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
         aliases = wanted.aliases(finished)
-        read = _sort(store, stored, sources, wanted.jobs, aliases, steps)
+        read = _sort_steps(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
-        store.public.write(runs_of_frame(runs), steps)
+        store.public.write(table_of_runs(runs), steps)
     finally:
         steps.close()
         steps.path.unlink(missing_ok=True)
@@ -167,7 +169,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     return runs, steps.rows
 
 
-def _sort(
+def _sort_steps(
     store: CellStore,
     runs: pa.Table,
     sources: Mapping[str, Source],
@@ -175,8 +177,10 @@ def _sort(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of the `wanted` runs and of their aliases, and keep all others in parts;
-    return the names of those that could be read."""
+    """Write the steps of `wanted` runs and their aliases, and keep all others in parts.
+
+    Returns the names of those that could be read.
+    """
     read: set[str] = set()
     for group in store.groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from dpbench.bench.workers.compiled import LOOP, OWN, compile_in_processes, missing
+from dpbench.bench.workers.child import LOOP, OWN, compile_in_processes, missing
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario

@@ -53,7 +53,7 @@ def parse_json(text: str) -> Any:
 
 
 def check_values(document: object) -> None:
-    """ValueError for a document nested too deep, or with an integer that no float can be."""
+    """Raise ValueError for a document nested too deep, or an integer beyond all floats."""
     depth, level = 0, [document]
     while level:
         if any(isinstance(one, int) and abs(one) >= _MOST_INTEGER for one in level):

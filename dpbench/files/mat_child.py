@@ -52,7 +52,7 @@ def _limit(kind: int, most: int) -> None:
 
 
 def _numbers(structure: dict[str, Any]) -> dict[str, Any]:
-    """Each field as an array, and those of structures in it; empty where it holds no numbers."""
+    """Return each field as an array, with dotted names; empty where it holds no numbers."""
     import numpy as np
 
     numbers: dict[str, Any] = {}

@@ -55,12 +55,12 @@ class Footer:
 
     @property
     def rows(self) -> int:
-        """How many rows the file has."""
+        """Number of rows of the file."""
         return int(self.fields[_NUM_ROWS].value)
 
     @property
     def groups(self) -> list[tuple[int, Struct, int]]:
-        """Of each row group where its description begins, its fields, and where it ends."""
+        """Where the description of each row group begins, its fields, and where it ends."""
         groups: list[tuple[int, Struct, int]] = self.fields[_GROUPS].value
         return groups
 
@@ -80,10 +80,10 @@ def read_footer(file: BinaryIO) -> Footer:
         raise ValueError("no Parquet file")
     file.seek(end - 8 - size)
     data = file.read(size)
-    return Footer(data, _struct(data, 0, _FOOTER_SPEC)[0])
+    return Footer(data, _decode_struct(data, 0, _FOOTER_SPEC)[0])
 
 
-def _number(data: bytes, at: int) -> tuple[int, int]:
+def _decode_number(data: bytes, at: int) -> tuple[int, int]:
     """Decode an unsigned number; return it, and where it ends."""
     result = shift = 0
     while (byte := data[at]) > 0x7F:
@@ -92,81 +92,81 @@ def _number(data: bytes, at: int) -> tuple[int, int]:
     return result | byte << shift, at + 1
 
 
-def _signed(data: bytes, at: int) -> tuple[int, int]:
-    number, at = _number(data, at)
+def _decode_signed(data: bytes, at: int) -> tuple[int, int]:
+    number, at = _decode_number(data, at)
     return (number >> 1) ^ -(number & 1), at
 
 
-def _items(data: bytes, at: int) -> tuple[int, int, int]:
+def _decode_list_head(data: bytes, at: int) -> tuple[int, int, int]:
     """Decode the head of a list; return its size, the type of its items, and where they begin."""
     size, kind = data[at] >> 4, data[at] & 15
     if size < 15:
         return size, kind, at + 1
-    size, at = _number(data, at + 1)
+    size, at = _decode_number(data, at + 1)
     return size, kind, at
 
 
-def _end_of(data: bytes, at: int, kind: int) -> int:
+def _find_end(data: bytes, at: int, kind: int) -> int:
     """Return where a value ends."""
     if kind in _INTEGERS:
         while data[at] > 0x7F:
             at += 1
         return at + 1
     if kind == _BINARY:
-        size, at = _number(data, at)
+        size, at = _decode_number(data, at)
         return at + size
     if kind == _LIST:
-        size, inner, at = _items(data, at)
+        size, inner, at = _decode_list_head(data, at)
         for _ in range(size):
-            at = at + 1 if inner in (_TRUE, _FALSE) else _end_of(data, at, inner)
+            at = at + 1 if inner in (_TRUE, _FALSE) else _find_end(data, at, inner)
         return at
     if kind == _STRUCT:
         while head := data[at]:
-            at = at + 1 if head >> 4 else _number(data, at + 1)[1]
-            at = _end_of(data, at, head & 15)
+            at = at + 1 if head >> 4 else _decode_number(data, at + 1)[1]
+            at = _find_end(data, at, head & 15)
         return at + 1
     # A flag that is a field of its own has its value in its type.
     sizes = {_TRUE: 0, _FALSE: 0, _BYTE: 1, _DOUBLE: 8}
     return at + sizes[kind]
 
 
-def _struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
+def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
     """Find the fields of a struct, and decode those of `spec`; return them, and where it ends."""
     fields: Struct = {}
     number = 0
     while byte := data[at]:
         head = at
-        number, at = (number + (byte >> 4), at + 1) if byte >> 4 else _signed(data, at + 1)
+        number, at = (number + (byte >> 4), at + 1) if byte >> 4 else _decode_signed(data, at + 1)
         kind, begin, inner = byte & 15, at, spec.get(number)
         value: Any = None
         if inner is None:
-            at = _end_of(data, at, kind)
+            at = _find_end(data, at, kind)
         elif kind in _INTEGERS and inner is int:
-            value, at = _signed(data, at)
+            value, at = _decode_signed(data, at)
         elif kind == _STRUCT and isinstance(inner, dict):
-            value, at = _struct(data, at, inner)
+            value, at = _decode_struct(data, at, inner)
         elif kind == _LIST and isinstance(inner, list):
-            value, at = _structs(data, at, inner[0])
+            value, at = _decode_structs(data, at, inner[0])
         else:
             raise ValueError(f"a footer with field {number} of type {kind}")
         fields[number] = Field(head, begin, at, kind, value)
     return fields, at + 1
 
 
-def _structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
-    """As `_struct`, of a list of them, each with where it begins and ends."""
-    size, kind, at = _items(data, at)
+def _decode_structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
+    """Find the structs of a list, each with where it begins and ends."""
+    size, kind, at = _decode_list_head(data, at)
     if size and kind != _STRUCT:
         raise ValueError("a footer with a list of other things")
     found = []
     for _ in range(size):
-        fields, end = _struct(data, at, spec)
+        fields, end = _decode_struct(data, at, spec)
         found.append((at, fields, end))
         at = end
     return found, at
 
 
-def _encoded(number: int) -> bytes:
+def _encode_number(number: int) -> bytes:
     """Encode an unsigned number."""
     out = bytearray()
     while number > 0x7F:
@@ -176,11 +176,11 @@ def _encoded(number: int) -> bytes:
     return bytes(out)
 
 
-def _encoded_signed(number: int) -> bytes:
-    return _encoded((number << 1) ^ (number >> 63))
+def _encode_signed(number: int) -> bytes:
+    return _encode_number((number << 1) ^ (number >> 63))
 
 
-def _moved(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
+def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
     """Return the description of a row group whose bytes are elsewhere."""
     begin, fields, end = group
     changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
@@ -191,7 +191,7 @@ def _moved(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
         changed += [column[number] for number in (_DATA, _DICTIONARY) if number in column]
     out = []
     for field in sorted(changed):
-        out += [data[begin : field.begin], _encoded_signed(field.value + by)]
+        out += [data[begin : field.begin], _encode_signed(field.value + by)]
         begin = field.end
     if _ORDINAL in fields:
         # The number of the row group in its file, the last field; readers do without it.
@@ -200,7 +200,7 @@ def _moved(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
     return b"".join([*out, data[begin:end]])
 
 
-def _extent(group: Struct) -> tuple[int, int]:
+def _byte_range(group: Struct) -> tuple[int, int]:
     """Return the first byte of a row group and the one behind its last."""
     first, end = 2**63, 0
     for _, chunk, _ in group[_COLUMNS].value:
@@ -247,10 +247,10 @@ class RowGroupWriter:
         if rows == 0:
             # Arrow writes one without bytes for a table without rows.
             return
-        first, end = _extent(group[1])
+        first, end = _byte_range(group[1])
         if not 0 < first <= end <= source.seek(0, 2):
             raise ValueError("a row group outside of its file")
-        moved = _moved(footer.data, group, self._at - first)
+        moved = _shift_offsets(footer.data, group, self._at - first)
         source.seek(first)
         while first < end:
             block = source.read(min(_BLOCK, end - first))
@@ -272,8 +272,8 @@ class RowGroupWriter:
         if self._file.closed:
             return
         footer, size = self._footer or empty, len(self._groups)
-        head = bytes([size << 4 | _STRUCT]) if size < 15 else bytes([0xFC]) + _encoded(size)
-        values = {_NUM_ROWS: _encoded_signed(self.rows), _GROUPS: b"".join([head, *self._groups])}
+        head = bytes([size << 4 | _STRUCT]) if size < 15 else bytes([0xFC]) + _encode_number(size)
+        values = {_NUM_ROWS: _encode_signed(self.rows), _GROUPS: b"".join([head, *self._groups])}
         out, last = [], 0
         for number, field in footer.fields.items():
             if number != _METADATA:

@@ -55,15 +55,15 @@ def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterato
         words = [
             f.name for f in schema if pa.types.is_string(f.type) or pa.types.is_large_string(f.type)
         ]
-        check_unpacked(path, _unpacked(metadata, len(words)), size, error=error)
+        check_unpacked(path, _unpacked_bytes(metadata, len(words)), size, error=error)
     with pq.ParquetFile(
         path, metadata=metadata, read_dictionary=words, page_checksum_verification=True
     ) as table:
         yield table
 
 
-def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
-    """Bytes of all values in memory, each word once, with as many columns of words."""
+def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
+    """Return the bytes of all values in memory, each word once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
@@ -73,15 +73,15 @@ def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
 def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
     """Decode the table, so that each row has its own text; raises as `opened_table` does."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
-    check_unpacked(path, sum(map(_bytes_of, coded.values())), os.path.getsize(path), error=error)
+    check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():
         at = table.schema.get_field_index(name)
         table = table.set_column(at, name, column.cast(column.type.value_type))
     return table
 
 
-def _bytes_of(column: pa.ChunkedArray) -> int:
-    """Bytes of the words of a column, each as often as it occurs."""
+def _word_bytes(column: pa.ChunkedArray) -> int:
+    """Return the bytes of the words of a column, each as often as it occurs."""
     total = 0
     for chunk in column.chunks:
         lengths = pc.binary_length(chunk.dictionary).fill_null(0).to_numpy()

@@ -95,7 +95,7 @@ def write_given(path: Path, content: bytes) -> None:
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
     """Write the files of a folder anew, and remove those of an earlier time that are none now.
 
-    A list beside the folder, `list_of` it, has their names: no other file is removed.
+    A list beside the folder, `list_path` it, has their names: no other file is removed.
 
     Parameters
     ----------
@@ -108,25 +108,25 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
     for name in contents:
         if not is_file_name(name):
             raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
-    earlier, now = _written(make_folder(folder)), set(contents)
+    earlier, now = _read_list(make_folder(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
-    _note(folder, earlier | now)
+    _write_list(folder, earlier | now)
     for name in earlier - now:
         if stat.S_ISREG((folder / name).lstat().st_mode):
             (folder / name).unlink()
     for name, content in contents.items():
         write_bytes(folder / name, content())
-    _note(folder, now)
+    _write_list(folder, now)
 
 
-def list_of(folder: Path) -> Path:
+def list_path(folder: Path) -> Path:
     """Return the file with the names of what `write_together` wrote into a folder."""
     return folder.with_name(f".{folder.name}.json")
 
 
-def _written(folder: Path) -> set[str]:
+def _read_list(folder: Path) -> set[str]:
     """Return the files written earlier that are there; anybody may have changed their list."""
-    path = list_of(folder)
+    path = list_path(folder)
     try:
         state = path.lstat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MOST_LIST_BYTES:
@@ -139,5 +139,5 @@ def _written(folder: Path) -> set[str]:
     return {name for name in known if os.path.lexists(folder / name)}
 
 
-def _note(folder: Path, names: set[str]) -> None:
-    write_text(list_of(folder), json.dumps(sorted(names), indent=1) + "\n")
+def _write_list(folder: Path, names: set[str]) -> None:
+    write_text(list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

@@ -8,8 +8,8 @@ from math import isnan
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.machine import largest_of
 from dpbench.bench.judge.calibration import within_bar
-from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.disturbance import Disturbance
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
     MISSING,
     and_list,

@@ -13,8 +13,8 @@ from dpbench.analysis.suites.paper import PAPER, Law, data_behind, laws_of
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
+from dpbench.bench.record.machine import made_by
 from dpbench.bench.record.result_folder import Results, accidents, load_results
-from dpbench.bench.record.revision import made_by
 from dpbench.files.writing import write_bytes, write_text
 from dpbench.report.charts.render import encoded
 from dpbench.report.escaped import csv_bytes

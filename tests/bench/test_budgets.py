@@ -8,8 +8,6 @@ import pytest
 
 from dpbench import load_scenario, record_sequence
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.run.formulation import in_replay
@@ -48,8 +46,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results) -> None:
-    """A configuration beyond its budget ends with the fewest rounds that count, not as timed
-    out."""
     runs = results.runs.set_index("solver")
     slow = runs.loc["busy_wait_1000us"]
     steps = results.steps[results.steps["run_id"] == slow["run_id"]]
@@ -60,20 +56,7 @@ def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results)
     assert (steps.groupby("repeat").size()[1:] == STEPS).all()
 
 
-def test_a_table_may_have_a_limit_of_its_own() -> None:
-    """The limit of a closed-loop table stands before that of the suite."""
-    tables = [
-        ClosedLoopTable(scenarios=["paper"], steps=5, limit_s=1.5),
-        ClosedLoopTable(scenarios=["calm"], steps=5),
-    ]
-    suite = SuiteFile(
-        title="x", solvers=["daqp"], baseline_law=False, cell_limit_s=7.0, closed_loop=tables
-    )
-    assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
-
-
 def test_both_kernels_are_timed_around_every_round() -> None:
-    """By the clock of the harness, each pass of the load kernel for itself."""
     sequence = record_sequence(load_scenario("paper").first(3))
     now = iter(range(10**9))
     log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
@@ -88,7 +71,6 @@ def test_both_kernels_are_timed_around_every_round() -> None:
 
 
 def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
-    """The limit is of the rounds that are kept: of two attempts the last counts."""
     sequence = record_sequence(load_scenario("paper").first(3))
     ticks = iter(range(0, 10**9, 1000))
 

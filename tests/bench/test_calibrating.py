@@ -64,7 +64,6 @@ def results(folder: Path) -> Results:
 
 
 def test_own_configurations_run_like_any_other_and_are_judged_by_nobody(results: Results) -> None:
-    """Each is a finished row with all its samples, and no word about accuracy."""
     runs = results.runs.set_index("solver")
     own = runs.loc[list(CALIBRATION)]
     assert (own["outcome"] == "finished").all()
@@ -78,7 +77,6 @@ def test_own_configurations_run_like_any_other_and_are_judged_by_nobody(results:
 
 
 def test_no_wait_is_shorter_than_it_says(results: Results) -> None:
-    """Two clocks agree to a thousandth: a wait takes at least its time, whatever the load."""
     for run in results.runs[results.runs["solver"].str.startswith("busy_wait")].itertuples():
         rows = results.steps[results.steps["run_id"] == run.run_id]
         waits_ns = 1000 * int(str(run.solver).removeprefix("busy_wait_").removesuffix("us"))
@@ -86,7 +84,6 @@ def test_no_wait_is_shorter_than_it_says(results: Results) -> None:
 
 
 def test_what_disturbed_and_what_it_took_are_columns(results: Results) -> None:
-    """Counters, determinism and memory of every configuration; a direct method repeats itself."""
     runs = results.runs
     assert (runs["replay_s"] > 0).all()
     counts = runs[["voluntary_switches", "involuntary_switches", "rerun_rounds"]]
@@ -101,7 +98,6 @@ def test_what_disturbed_and_what_it_took_are_columns(results: Results) -> None:
 
 
 def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
-    """A whole page, and one line each on machine and harness."""
     page, lines = report_and_ending(folder)
     text = page.with_suffix(".md").read_text(encoding="utf-8")
     assert "Can I believe the times: Within this run two solvers differ where " in text
@@ -110,7 +106,6 @@ def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
 
 
 def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
-    """The log knows how often a round was begun, and counts the last attempt alone."""
     log = RawLog.in_memory(replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
     made, formulated = in_replay("condensed_box", sequence)
     clock = time.perf_counter_ns
@@ -125,7 +120,6 @@ def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
 
 
 def test_the_bar_of_each_configuration() -> None:
-    """1 µs, or 1 % of a wait where that is more; the contract's cost has no bar."""
     assert within_bar("busy_wait_50us", 50_999.0) and not within_bar("busy_wait_50us", 51_001.0)
     assert within_bar("busy_wait_1000us", 1_009_999.0)
     assert not within_bar("busy_wait_1000us", 989_000.0)
@@ -135,7 +129,6 @@ def test_the_bar_of_each_configuration() -> None:
 
 
 def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
-    """Every configuration has a median; cores and garbage collector are those of before."""
     before = os.sched_getaffinity(0), gc.isenabled()
     found = calibrate()
     assert (os.sched_getaffinity(0), gc.isenabled()) == before
@@ -146,7 +139,6 @@ def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
 
 
 def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
-    """Facts, a verdict on the machine by a stated rule, one on the harness; exit code 0."""
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
     words = ("processor", "governor", "BLAS", "reading the clock", "context switches", "stolen")
@@ -155,7 +147,6 @@ def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_part_of_a_suite_may_be_an_own_configuration(folder: Path, tmp_path: Path) -> None:
-    """`--solver no_op` runs it alone, and the report has nothing to miss."""
     out = run_campaign(folder.parent / "tiny.toml", tmp_path / "part", solvers=[NO_OP])
     runs: pd.DataFrame = load_results(out).runs
     assert runs["solver"].tolist() == [NO_OP]

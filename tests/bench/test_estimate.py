@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimated, rates_of
+from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimate_cells, read_rates
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.qp_source import CapabilitySource
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
+from tests.bench.deterministic import head
 
 
 def cell(solver: str, steps: int, **more: object) -> PlannedCell:
@@ -24,13 +24,11 @@ def cell(solver: str, steps: int, **more: object) -> PlannedCell:
 
 @pytest.mark.parametrize("slots", [1, 2])
 def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
-    """Loops share the slots, replays run one by one with all their rounds, and a configuration that
-    was not run before takes the stated step."""
     kind = ("closed_loop", "daqp", "native", "fresh", "default", "condensed_box", "scaled")
     rates = Rates("a test", {kind: 0.004})
     loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
     replays = [cell("osqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3
-    found = estimated([*loops, *replays], slots, rates)
+    found = estimate_cells([*loops, *replays], slots, rates)
     of_loops = 120 * CELL_S + 36_000 * (0.004 + JUDGE_STEP_S) + 30_000 * STEP_S
     of_replays = 3 * (CELL_S + 205 * STEP_S)
     assert found.time_s == pytest.approx(of_loops / slots + of_replays)
@@ -39,22 +37,16 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 
 
 def test_what_does_not_run_takes_nothing() -> None:
-    """Refused cells are counted apart, and so are those of which nothing is known."""
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
-    found = estimated([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
+    found = estimate_cells([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["daqp", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 3
-
+SUITE = (
+    head(solvers=["daqp", "quadprog"], rounds=2, warmup_steps=3)
+    + """
 [[study]]
 base = "weather"
 steps = 12
@@ -65,14 +57,13 @@ scenario = "paper"
 steps = 20
 policies = ["fresh", "warm"]
 """
+)
 
 
 @pytest.mark.slow
 def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The count of cells and steps is that of the plan; three lines name where the rates come
-    from."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
@@ -86,7 +77,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "by the runs in mine"
-    runs, found = load_results("mine").runs, rates_of(Path("mine"))
+    runs, found = load_results("mine").runs, read_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3
     took_s = runs[runs["mode"] == "closed_loop"]["replay_s"].sum()
@@ -98,7 +89,6 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
 
 
 def test_without_a_folder_rates_are_stated(tmp_path: Path) -> None:
-    """Nor does a folder that is none, or damaged, end the command."""
-    assert rates_of(tmp_path) == rates_of(tmp_path / "none") == STATED
+    assert read_rates(tmp_path) == read_rates(tmp_path / "none") == STATED
     (tmp_path / "runs.parquet").write_bytes(b"no table")
-    assert rates_of(tmp_path) == STATED
+    assert read_rates(tmp_path) == STATED

@@ -68,7 +68,6 @@ def impatient() -> Iterator[None]:
 @pytest.mark.parametrize("kind", ["FIFO", "device", "socket", "folder", "nothing"])
 @pytest.mark.parametrize("name", READERS)
 def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> None:
-    """It names the path; nothing blocks, and no device is read to an end that never comes."""
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     if kind == "FIFO":
@@ -92,7 +91,6 @@ def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> No
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
-    """Its size is said, and what is allowed; a sparse file takes no space to try it."""
     path = tmp_path / "large"
     with path.open("wb") as file:
         file.truncate(10**12)
@@ -104,7 +102,6 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
 
 
 def test_nothing_stays_open(tmp_path: Path) -> None:
-    """Whether a file was read or refused."""
     (tmp_path / "file").write_bytes(b"abc")
     os.mkfifo(tmp_path / "fifo")
     before = os.listdir("/proc/self/fd")

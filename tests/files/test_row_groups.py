@@ -67,7 +67,6 @@ def test_joined_files_are_the_concatenated_tables(
     group: int,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    """Whatever codec and size the row groups have; checksums of pages are verified."""
     path = tmp_path_factory.mktemp("joined") / "all.parquet"
     files = [encoded(rows, codec, group) for rows, codec in parts]
     rows = join(files, path)
@@ -83,7 +82,6 @@ def test_joined_files_are_the_concatenated_tables(
 
 
 def test_a_group_of_another_schema_is_refused(tmp_path: Path) -> None:
-    """A file has one schema."""
     file = io.BytesIO()
     pq.write_table(pa.table({"other": [1]}), file)
     writer = RowGroupWriter(tmp_path / "all.parquet")
@@ -96,7 +94,6 @@ def test_a_group_of_another_schema_is_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_footers_raise_what_is_documented(tmp_path: Path) -> None:
-    """Flipped bytes and cut files end in one of three errors, or in row groups that fit."""
     whole = encoded([(str(i), i, float(i), True) for i in range(20)], "zstd", 5)
     rng, refused = random.Random(1), 0
     for i in range(3000):

@@ -24,7 +24,6 @@ def _written(path: Path, table: pa.Table) -> Path:
 
 
 def test_rows_that_are_all_the_same(tmp_path: Path) -> None:
-    """Run-length encoding keeps a million of them in some bytes."""
     table = pa.table({f"c{i}": np.zeros(ROWS) for i in range(4)})
     path = _written(tmp_path / "runs.parquet", table)
     found = r"unpack to 128\d{6}; allowed: at most"
@@ -35,7 +34,6 @@ def test_rows_that_are_all_the_same(tmp_path: Path) -> None:
 
 
 def test_a_long_word_in_each_row(tmp_path: Path) -> None:
-    """A dictionary keeps it once; it is measured before each row has a copy."""
     codes = pa.array(np.zeros(ROWS, dtype=np.int32))
     words = pa.DictionaryArray.from_arrays(codes, pa.array(["x" * 10_000]))
     path = _written(tmp_path / "runs.parquet", pa.table({"cell": words}))
@@ -44,7 +42,6 @@ def test_a_long_word_in_each_row(tmp_path: Path) -> None:
 
 
 def test_a_damaged_entry_of_a_column_ends_no_process(tmp_path: Path) -> None:
-    """Arrow aborts where its statistics are asked for; here each byte of the footer is another."""
     path = tmp_path / "runs.parquet"
     pq.write_table(pa.table({"a": ["x", None, "y"], "b": [1.0, 2.0, None]}), path)
     whole = path.read_bytes()
@@ -56,7 +53,6 @@ def test_a_damaged_entry_of_a_column_ends_no_process(tmp_path: Path) -> None:
 
 
 def test_other_types_than_numbers_and_words_are_refused(tmp_path: Path) -> None:
-    """A list in each row has a length that no metadata tell."""
     path = _written(tmp_path / "a.parquet", pa.table({"c": pa.array([[1.0] * 1000] * 100)}))
     found = r"c: found type list.*; allowed: numbers and words"
     with pytest.raises(InputError, match=found), opened_table(path):
@@ -64,7 +60,6 @@ def test_other_types_than_numbers_and_words_are_refused(tmp_path: Path) -> None:
 
 
 def test_words_and_numbers_come_back(tmp_path: Path) -> None:
-    """Of either string type, with missing ones among them."""
     table = pa.table(
         {
             "word": pa.array(["a", None, "bb", "a"]),

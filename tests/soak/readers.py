@@ -18,10 +18,9 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.finished_batch import batch_part
 from dpbench.bench.record.recorded_steps import ALL
 from dpbench.bench.record.result_folder import accidents, load_results
-from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import stored_rules
 from dpbench.report.report import Report

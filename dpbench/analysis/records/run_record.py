@@ -11,18 +11,19 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dpbench.bench.judge.answer_caching import is_remembered
-from dpbench.bench.record.cell import Formulation, Units
-from dpbench.bench.record.configuration import COMMON, Configuration
-from dpbench.bench.record.qp_source import (
+from dpbench.bench.record.cell import (
     CONTROLLER,
     CapabilitySource,
     ConsequenceSource,
+    Formulation,
     HardestSource,
     QPSource,
     RandomSource,
     RecordedSource,
+    Units,
     source_from,
 )
+from dpbench.bench.record.configuration import COMMON, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json

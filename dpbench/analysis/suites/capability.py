@@ -12,7 +12,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
-from dpbench.bench.record.qp_source import CapabilitySource
+from dpbench.bench.record.cell import CapabilitySource
 
 
 @dataclass(frozen=True)

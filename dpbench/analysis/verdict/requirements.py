@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.record.descriptions import SuiteDescription
+from dpbench.bench.record.result_folder import SuiteDescription
 
 MARGIN = 0.1
 """A loop survives a slow computer with a cost within this share of the exactly solved loop's."""

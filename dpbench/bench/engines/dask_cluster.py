@@ -27,7 +27,7 @@ from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import hidden_main_module
-from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
+from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
 
@@ -54,11 +54,10 @@ LOOPBACK = "127.0.0.1"
 
 
 class _WithoutHttp:
-    """A node of Dask whose pages nobody asked for: they have no TLS, and no option leaves them
-    out."""
+    """A node of Dask without its HTTP pages, which have no TLS and no option to turn off."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
-        """Listen nowhere."""
+        """Start nothing."""
 
 
 class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here
@@ -69,20 +68,20 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
     """A worker of a cluster of this machine."""
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
-        """Dask would wait for its task for some seconds, then kill it with what lies around it."""
+        """End the task first: Dask would wait for it, then kill it with its surroundings."""
         end_tasks()
         return await super().close(*args, **kwargs)
 
 
 @contextmanager
 def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """A client of the scheduler at an address; InputError where none answers, or refuses it.
+    """Connect a client to a scheduler; InputError where none answers, or refuses it.
 
     Parameters
     ----------
-    tls : what Dask's configuration tells, where they are not given.
+    tls : by default as in Dask's configuration.
     """
-    with _quiet():
+    with _silence_dask():
         security = Security() if tls is None else _security(address, tls)
         try:
             _check_reachable(address)
@@ -93,7 +92,7 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
         try:
             # In a thread: a notebook has a loop of its own in this one.
             with ThreadPoolExecutor(1) as pool:
-                pool.submit(asyncio.run, _greet(address, security)).result()
+                pool.submit(asyncio.run, _connect_once(address, security)).result()
             client = Client(address, security=security, timeout=RETURN_S, set_as_default=False)
         # Those that are no OSError: one of both wants TLS, and the other has none.
         except (OSError, TypeError, RuntimeError) as error:
@@ -105,23 +104,22 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
 
 
 def _check_reachable(address: str) -> None:
-    """OSError or ValueError where nobody listens, which a client finds out only after long
-    tries."""
+    """Raise OSError or ValueError where nobody listens, which a client finds out late."""
     scheme, place = parse_address(address)
     get_backend(scheme)
     with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
         pass
 
 
-async def _greet(address: str, security: Security) -> None:
-    """Come and go; a client that is refused leaves threads behind."""
+async def _connect_once(address: str, security: Security) -> None:
+    """Connect once, as a refused client leaves threads behind."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
     await comm.close()
 
 
 def _security(address: str, tls: TlsFiles) -> Security:
-    """What a client shows to a scheduler; InputError where the files are not what they should."""
+    """Return the TLS set-up of a client; InputError for wrong files."""
     if not address.startswith("tls://"):
         found = f"files with {WHERE} {address}"
         raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, where the scheduler has TLS")
@@ -145,25 +143,23 @@ def _security(address: str, tls: TlsFiles) -> Security:
 
 
 @contextmanager
-def own_cluster(workers: int) -> Iterator[Client]:
-    """A client of so many workers on this machine, one of which times replays; the program that
-    started the campaign is hidden meanwhile, for a worker may have to be started again at any
-    time."""
+def start_own_cluster(workers: int) -> Iterator[Client]:
+    """Start so many workers on this machine, one of which times replays."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
-        with signals_wait():
+        with delay_signals():
             client = stack.enter_context(_own_cluster(workers))
         yield client
     finally:
-        with signals_wait():
+        with delay_signals():
             stack.close()
 
 
 @contextmanager
 def _own_cluster(workers: int) -> Iterator[Client]:
     with (
-        _quiet(),
+        _silence_dask(),
         hidden_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
@@ -186,7 +182,7 @@ def _own_cluster(workers: int) -> Iterator[Client]:
             for i in range(workers)
         }
         scheduler = {"cls": OwnScheduler, "options": {**closed, "dashboard": False}}
-        with terminal_signals_blocked():
+        with block_terminal_signals():
             cluster = SpecCluster(spec, scheduler, security=security, silence_logs=logging.CRITICAL)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
@@ -198,13 +194,13 @@ class Cluster:
 
     Parameters
     ----------
-    is_own : whether all workers are processes of this campaign, which nobody else joins.
+    is_own : whether all workers are processes of this campaign.
 
     Attributes
     ----------
     slots : tasks at a time; concurrency : the most of them on one machine so far.
     exclusive : whether a worker offered `EXCLUSIVE` when the campaign began.
-    machine : that of the one that times replays; kinds : how many kinds of machines there were.
+    machine : that of the one that times replays; kinds : number of kinds of machines.
     addresses : of the workers that may have a task.
 
     Raises
@@ -218,7 +214,7 @@ class Cluster:
         self._refused: set[str] = set()
         self.concurrency, self.addresses = 1, frozenset[str]()
         client.wait_for_workers(1)
-        for error in self._look():
+        for error in self._update_workers():
             raise error
         workers = {address: self._workers[address] for address in self._infos}
         exclusive = [a for a, w in workers.items() if w["resources"].get(EXCLUSIVE, 0) >= 1]
@@ -233,17 +229,17 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Take workers in that came, and out that went; return a remark on each that is refused.
+        """Update the workers; return a remark on each refused one.
 
         Nothing changes where the scheduler does not answer, or has none.
         """
         try:
-            return [f"a worker is given no cells: {error}" for error in self._look()]
+            return [f"a worker is given no cells: {error}" for error in self._update_workers()]
         except OSError:
             return []
 
     def is_connected_again(self) -> bool:
-        """Wait for the scheduler to come back with a worker; false if it does not."""
+        """Wait for the scheduler to return with a worker; false if it does not."""
         deadline = time.monotonic() + RETURN_S
         while time.monotonic() < deadline and self.client.status != "closed":
             with suppress(OSError):
@@ -252,8 +248,8 @@ class Cluster:
             time.sleep(0.1)
         return False
 
-    def _look(self) -> list[InputError]:
-        """Look at the workers there are; return why some of those that came are refused."""
+    def _update_workers(self) -> list[InputError]:
+        """Update the workers; return the reasons why new ones are refused."""
         if self.client.status != "running":
             return []
         workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
@@ -265,7 +261,7 @@ class Cluster:
             if isinstance(answer, OSError):
                 continue  # it went, or does not answer yet
             try:
-                infos[address] = _checked(address, answer)
+                infos[address] = _check_worker(address, answer)
             except InputError as error:
                 refused.append(error)
                 self._refused.add(address)
@@ -279,8 +275,8 @@ class Cluster:
         return refused
 
 
-def _checked(address: str, answer: object) -> WorkerInfo:
-    """What a worker said of itself; InputError where it cannot run cells."""
+def _check_worker(address: str, answer: object) -> WorkerInfo:
+    """Return the information of a worker; InputError where it cannot run cells."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")
@@ -295,8 +291,8 @@ def _checked(address: str, answer: object) -> WorkerInfo:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """What Dask would log of lost workers and connections; a campaign says it in its own words."""
+def _silence_dask() -> Iterator[None]:
+    """Silence Dask on lost workers and connections, which a campaign reports itself."""
     loggers = [logging.getLogger("tornado.application"), logging.getLogger("distributed")]
     quiet: list[logging.Logger | logging.Handler] = [loggers[0], *loggers[1].handlers]
     levels = [one.level for one in quiet]

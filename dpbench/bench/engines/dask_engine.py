@@ -1,11 +1,9 @@
 """The engine of a cluster: batches of cells, and the sources of their QPs, as tasks of Dask.
 
 A source is made on a worker and stays there: Dask hands its bytes to the workers whose cells need
-it, and makes it anew where it was lost with its worker. What lies in files of the campaign's
-machine, such as recorded sequences, is sent instead.
-
-Only some tasks more than there are slots are given away at a time: a batch that kills its worker
-takes few others with it, and no scheduler holds a whole campaign.
+it, and makes it again where it was lost with its worker. Files of the campaign's machine, such as
+recorded sequences, are sent instead. Few more tasks than slots are submitted at a time: a batch
+that kills its worker takes few others along, and no scheduler holds a whole campaign.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from uuid import uuid4
 
 from distributed import CancelledError, Future, KilledWorker
 
-from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connected, own_cluster
+from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connected, start_own_cluster
 from dpbench.bench.engines.engine import (
     BATCHES_AHEAD,
     Completed,
@@ -34,16 +32,15 @@ from dpbench.bench.engines.on_worker import (
     MadeFile,
     make_files,
     results_of,
+    return_file,
     run_cells,
-    sent_file,
 )
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.record.qp_source import RecordedSource
 from dpbench.bench.sequences.source import is_readable, source_file
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, solvers_of
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, list_solvers
 from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
 
@@ -71,9 +68,7 @@ def dask_engine(scheduler: str | None, workers: int, tls: TlsFiles | None = None
 class DaskEngine(ExitStack):
     """Runs cells on the workers of a cluster; an `Engine`.
 
-    Parameters
-    ----------
-    workers : how many are started on this machine, unless it is connected to others.
+    `workers` are started on this machine, unless it is connected to others.
     """
 
     def __init__(self, workers: int) -> None:
@@ -94,20 +89,20 @@ class DaskEngine(ExitStack):
         self._ended = SimpleQueue[Future]()
 
     def connect(self, scheduler: str, tls: TlsFiles | None) -> None:
-        """Take the workers of a scheduler; InputError where that cannot be."""
+        """Use the workers of a scheduler; InputError where that is impossible."""
         client = self.enter_context(connected(scheduler, tls))
         self._where = f"at {scheduler}"
         self._cluster = Cluster(client)
         self.machine = self._cluster.machine
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start workers, where none are there."""
+        """Start workers, where there are none."""
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
-        self._context = CampaignContext(solvers=tuple(solvers_of(jobs)), modules=texts)
+        self._context = CampaignContext(solvers=tuple(list_solvers(jobs)), modules=texts)
         if self._cluster is None:
-            client = self.enter_context(own_cluster(self._workers))
+            client = self.enter_context(start_own_cluster(self._workers))
             self._cluster = Cluster(client, is_own=True)
         if (kinds := self._cluster.kinds) > 1:
             progress.remark(f"workers on {kinds} kinds of machines: replays of one kind are ranked")
@@ -127,11 +122,11 @@ class DaskEngine(ExitStack):
         return self._cluster
 
     def capacity(self, *, timed: bool) -> int:
-        """Enough for all workers; they wait for each other where one of a machine times."""
+        """Return enough for all workers, which wait where one of a machine times."""
         return BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Give a batch to the scheduler."""
+        """Submit a batch to the scheduler."""
         self._require_connection()
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
@@ -156,16 +151,16 @@ class DaskEngine(ExitStack):
         yield batch, self._results(batch, future)
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Nobody else has its bytes: they are what they were."""
+        """Return true, as nobody else has its bytes."""
         return True
 
     def release_source(self, key: str) -> None:
-        """Let go of its bytes."""
+        """Release its bytes."""
         if source := self._sources.pop(str(self._files.path(key)), None):
             self._given_to.pop(source.key, None)
 
     def _refresh(self) -> None:
-        """Look at the workers; HandOverError where all that some task may run on are gone."""
+        """Update the workers; HandOverError where all that some task may run on are gone."""
         for remark in self.cluster.refresh():
             self._progress.remark(remark)
         self._refreshed_s = time.monotonic()
@@ -177,7 +172,7 @@ class DaskEngine(ExitStack):
             raise HandOverError("no worker is left of those that a task was given to")
 
     def _results(self, batch: Batch, future: Future) -> Sequence[Result]:
-        """What a task returned; none where its workers died."""
+        """Return the results of a task; none where its workers died."""
         try:
             returned = future.result()
         except CancelledError as error:
@@ -224,13 +219,13 @@ class DaskEngine(ExitStack):
         )
 
     def _submit_sources(self, batch: FileBatch) -> Future:
-        """Have sources made that stay where they are; only what became of them comes back."""
+        """Submit sources that stay where they are made; only outcomes come back."""
         made: dict[str, Future] = {}
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                made[str(path)] = self._submit(sent_file, _read_source(cell, path), name="source")
+                made[str(path)] = self._submit(return_file, _read_source(cell, path), name="source")
                 del texts[path]
         if texts:
             together = self._submit_files(batch, texts)
@@ -247,7 +242,7 @@ class DaskEngine(ExitStack):
         return self._submit(make_files, *args, isolated=batch.isolated, name=name, retries=RETRIES)
 
     def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
-        """Give a task away, to workers that may have it."""
+        """Submit a task to the workers that may have it."""
         self._require_connection()
         key = f"{name}-{next(self._names)}"
         if not self.cluster.is_own:
@@ -256,7 +251,7 @@ class DaskEngine(ExitStack):
 
 
 def _read_source(cell: Cell, path: Path) -> MadeFile:
-    """Read the file behind the QPs of a cell, made on this machine where it is not there."""
+    """Read the file behind the QPs of a cell, made here where it is missing."""
     if not is_readable(cell, path):
         try:
             source_file(cell).make(path)

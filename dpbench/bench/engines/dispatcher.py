@@ -1,8 +1,8 @@
 """Cells and files on their way through an engine: order, sources, retries and counting.
 
-Closed loops run first, then timed replays, then problems without a deadline. A source, such as an
-exactly solved loop, takes as long as all of its cells together: it is made once, in a batch with
-others that are needed next, and is released after its last cell.
+Closed loops run first, then timed replays, then problems without a deadline. A source, such as a
+reference loop, takes as long as all of its cells together: it is made once, in a batch with others
+that are needed next, and is released after its last cell.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from dpbench.bench.workers.jobs import (
     Result,
     Target,
     batch_seconds,
-    by_source,
     cell_batches,
-    in_groups,
-    name_of,
-    work_of,
+    cell_label,
+    count_steps,
+    cut_into_groups,
+    group_by_source,
 )
 from dpbench.bench.workers.worker import make_source
 
@@ -42,12 +42,7 @@ DIED = "every worker that it was given to died"
 
 
 class Dispatcher:
-    """Runs cells and makes files on an engine.
-
-    Parameters
-    ----------
-    sources : where the files behind QPs lie on the machine of the campaign.
-    """
+    """Runs cells and makes files on an engine."""
 
     def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
         self._engine, self._sources, self._progress = engine, sources, progress
@@ -61,10 +56,10 @@ class Dispatcher:
         self._retried = set[str]()
 
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
-        """Run cells; yield the result of each, once, when it is known."""
+        """Run cells; yield the result of each, once."""
         self._uses = Counter(job.source_key for job in jobs)
-        for kind, alike in _by_kind(jobs):
-            self._of_key = by_source(alike)
+        for kind, alike in _split_by_kind(jobs):
+            self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
             self._waiting.extend(cell_batches(kind, alike, self._engine.slots))
             for batch, results in self._completed():
@@ -76,15 +71,14 @@ class Dispatcher:
     def make_files(
         self, target: Target, texts: Mapping[Path, str], *, limit_s: float | None = None
     ) -> Iterator[tuple[Path, Outcome]]:
-        """Make files from their descriptions, each in a process of its own that may take `limit_s`;
-        yield what became of each."""
+        """Make files in processes of their own, within `limit_s` each; yield outcomes."""
         self._ready.extend(FileBatch(target, {path: text}, limit_s) for path, text in texts.items())
         for _, results in self._completed():
             for result in results:
                 yield Path(result.run_id), result.outcome
 
     def _completed(self) -> Iterator[Completed]:
-        """Hand over all batches; yield each with the results of it that stand."""
+        """Hand over all batches; yield each with its final results."""
         while True:
             try:
                 self._request_sources()
@@ -101,7 +95,7 @@ class Dispatcher:
                 yield from self._give_up(str(error))
 
     def _request_sources(self) -> None:
-        """Ask for the sources of the batches that come next, as many as may exist at a time."""
+        """Request the sources of the next batches, as many as may exist at a time."""
         idle = not (self._ready or self._in_flight)
         if self._isolated and idle:
             batch = self._isolated.popleft()
@@ -121,7 +115,7 @@ class Dispatcher:
                 break
             self._blocked.append(self._waiting.popleft())
             self._being_made.update(new)
-            self._open_steps |= {key: longest(self._of_key[key]).last_step for key in new}
+            self._open_steps |= {key: longest_cell(self._of_key[key]).last_step for key in new}
             keys += new
         self._ready.extend(self._source_batches(keys))
 
@@ -129,16 +123,16 @@ class Dispatcher:
         return not (key in self._made or key in self._being_made or key in self._failed)
 
     def _source_batches(self, keys: Sequence[str]) -> Iterator[FileBatch]:
-        """Batches of the sources of these keys, each as long as the longest of its cells needs."""
+        """Yield batches of sources, each as long as its longest cell needs."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
-        for group in in_groups(keys, seconds.__getitem__, size_s):
-            cells = {self._sources.path(key): longest(self._of_key[key]) for key in group}
+        for group in cut_into_groups(keys, seconds.__getitem__, size_s):
+            cells = {self._sources.path(key): longest_cell(self._of_key[key]) for key in group}
             texts = {path: cell.to_json() for path, cell in cells.items()}
             yield FileBatch(make_source, texts, are_sources=True)
 
     def _unblock(self) -> Iterator[Completed]:
-        """Have batches run whose sources are made; yield their cells whose sources failed."""
+        """Move batches with made sources to the queue; yield cells of failed ones."""
         blocked, self._blocked = self._blocked, []
         for batch in blocked:
             if not self._being_made.isdisjoint(batch.source_keys):
@@ -146,19 +140,19 @@ class Dispatcher:
                 continue
             failed = [job for job in batch.jobs if job.source_key in self._failed]
             if failed:
-                results = [_without_source(job, self._failed[job.source_key]) for job in failed]
+                results = [_sourceless_result(job, self._failed[job.source_key]) for job in failed]
                 yield CellBatch(batch.kind, failed), results
             batch.jobs = [job for job in batch.jobs if job.source_key not in self._failed]
             if batch.jobs:
                 self._ready.append(batch)
 
     def _hand_over(self) -> None:
-        while self._ready and self._fits(self._ready[0]):
+        while self._ready and self._may_run_beside(self._ready[0]):
             self._engine.submit(self._ready[0])
             self._in_flight.add(self._ready.popleft())
 
-    def _fits(self, batch: Batch) -> bool:
-        """Whether a batch may run beside those that the engine has."""
+    def _may_run_beside(self, batch: Batch) -> bool:
+        """Return whether a batch may run beside those that the engine has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))
@@ -176,8 +170,10 @@ class Dispatcher:
                 self._failed[key] = result.outcome
 
     def _take_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
-        """Yield the results of a batch but those of cells that were lost with their source: these
-        run once more, from a new one."""
+        """Yield the results of a batch, less cells lost with their source.
+
+        These run once more, from a new source.
+        """
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[result.run_id] for result in results if result.is_lost]
         again = {job.run_id: job for job in lost if self._is_damaged(job)}
@@ -189,21 +185,23 @@ class Dispatcher:
             self._waiting.appendleft(CellBatch(batch.kind, [*again.values()]))
         for result in results:
             if result.run_id not in again:
-                self._count(batch, jobs[result.run_id])
+                self._count_result(batch, jobs[result.run_id])
                 yield result
 
     def _is_damaged(self, job: CellJob) -> bool:
-        """Whether the source of a lost cell was damaged since it was made."""
+        """Return whether the source of a lost cell was damaged since it was made."""
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
-        return key in self._remade or not self._engine.has_source(key, longest(self._of_key[key]))
+        return key in self._remade or not self._engine.has_source(
+            key, longest_cell(self._of_key[key])
+        )
 
-    def _count(self, batch: CellBatch, job: CellJob) -> None:
-        """Show the work of a cell that has its result; release its source behind the last one."""
-        shown = min(batch.shown_work, work_of(job.cell))
+    def _count_result(self, batch: CellBatch, job: CellJob) -> None:
+        """Show the work of a finished cell; release its source behind the last one."""
+        shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
-        self._progress.advance(work_of(job.cell) - shown, name_of(job.cell))
+        self._progress.advance(count_steps(job.cell) - shown, cell_label(job.cell))
         key = job.source_key
         self._left[key] -= 1
         self._uses[key] -= 1
@@ -214,8 +212,7 @@ class Dispatcher:
             self._engine.release_source(key)
 
     def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
-        """Run once more, isolated, what took a process along, or was taken along; return the
-        results of what was isolated before."""
+        """Retry in isolation what has no result; return results of earlier retries."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
             return [Result(name, Outcome("lost", DIED)) for name in names]
@@ -223,8 +220,10 @@ class Dispatcher:
         return []
 
     def _hand_over_again(self) -> Iterator[Completed]:
-        """Have all run again that the engine dropped; a batch that it dropped `MOST_ATTEMPTS` times
-        may be the cause."""
+        """Queue all that the engine dropped.
+
+        A batch dropped `MOST_ATTEMPTS` times may be the cause.
+        """
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
         ready, self._ready = self._ready, deque()
@@ -242,7 +241,7 @@ class Dispatcher:
                 self._ready.append(batch)
 
     def _give_up(self, reason: str) -> Iterator[Completed]:
-        """All that has no result is lost."""
+        """Yield a lost result for all that has none."""
         cells = [*self._blocked, *self._waiting]
         batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
         for queue in (self._blocked, self._waiting, self._ready, self._isolated):
@@ -255,21 +254,21 @@ class Dispatcher:
                 yield batch, [Result(name, Outcome("lost", reason)) for name in batch.names]
 
 
-def longest(jobs: Sequence[CellJob]) -> Cell:
+def longest_cell(jobs: Sequence[CellJob]) -> Cell:
     """Return, of the cells of one source, the one that needs most of it."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
-def _by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Yield cells in the order they run: nothing runs beside what is timed."""
+def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
+    """Yield cells in the order they run: nothing runs beside timed ones."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
     yield "replays", [job for job in replays if job.cell.is_timed]
     yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
 
 
-def _without_source(job: CellJob, outcome: Outcome) -> Result:
-    """Return the result of a cell whose QPs could not be made."""
+def _sourceless_result(job: CellJob, outcome: Outcome) -> Result:
+    """Return the result of a cell without QPs."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"
     return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

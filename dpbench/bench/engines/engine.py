@@ -10,7 +10,7 @@ from typing import Protocol
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.descriptions import MachineDescription
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.jobs import Batch, CellJob, Result
 from dpbench.errors import DpbenchError
 
@@ -24,7 +24,7 @@ Completed = tuple[Batch, Sequence[Result]]
 
 
 class HandOverError(DpbenchError):
-    """The engine dropped all batches and sources that it had; they are to be handed over again."""
+    """The engine dropped all batches and sources, which are to be handed over again."""
 
 
 class EngineGoneError(DpbenchError):
@@ -32,40 +32,34 @@ class EngineGoneError(DpbenchError):
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Runs batches; whatever it has started ends with the `with` block.
+    """Runs batches; all that it starts ends with the `with` block.
 
-    It writes nothing into a result folder but the files that it is asked to make.
+    Of a result folder it writes only the files that it is asked to make.
 
     Attributes
     ----------
-    machine : the machine that cells run on, as `describe_machine` describes it; of several the one
-        that times replays.
-    slots : batches that run at a time.
-    remarks : lines for whoever started the campaign, at its end.
+    machine : the machine of the cells, as `describe_machine` describes it; of several the one that
+        times replays.
     """
 
     machine: MachineDescription
 
     @property
-    def slots(self) -> int: ...
+    def slots(self) -> int:
+        """Batches that run at a time."""
 
     @property
-    def remarks(self) -> Sequence[str]: ...
+    def remarks(self) -> Sequence[str]:
+        """Lines for the end of the campaign."""
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Get ready to run cells.
-
-        Parameters
-        ----------
-        sources : where the files behind QPs lie on the machine of the campaign.
-        progress : of the campaign.
-        """
+        """Get ready to run cells."""
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to hand over at a time: of timed replays, or of all else."""
+        """Return how many batches to hand over at a time: of timed replays, or of others."""
 
     def submit(self, batch: Batch) -> None:
-        """Take a batch, whose sources were made before."""
+        """Take a batch with existing sources."""
 
     def completed(self) -> Iterator[Completed]:
         """Wait until batches are completed, or for some seconds, and yield them.
@@ -76,7 +70,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         """
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Check that a source that was made is still whole, for a cell that was lost with it."""
+        """Check that a source is still whole, for a cell that was lost with it."""
 
     def release_source(self, key: str) -> None:
-        """Let go of a source that no cell needs any more."""
+        """Release a source that no cell needs any more."""

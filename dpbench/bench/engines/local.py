@@ -12,10 +12,9 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.compiled import missing, needed
+from dpbench.bench.workers.child import missing, needed, template_context
 from dpbench.bench.workers.executor import CellExecutor
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, solvers_of
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.locks import Patience
 
@@ -25,10 +24,7 @@ COMPILING = "compiling the kernels, once after an installation: up to a minute"
 class LocalEngine(ExitStack):
     """Runs cells on this machine, some side by side; an `Engine`.
 
-    Parameters
-    ----------
-    slots : processes at a time, on as many cores; timed replays run one at a time.
-    patience : with other campaigns on this machine.
+    `slots` processes run at a time, on as many cores; timed replays run one at a time.
     """
 
     def __init__(self, slots: int, patience: Patience = Patience()) -> None:  # noqa: B008 - frozen
@@ -38,12 +34,12 @@ class LocalEngine(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """Where logs lay elsewhere than they should."""
+        """Remarks on the places of logs."""
         return self._scratch.remarks
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start what processes are forked from."""
-        solvers = solvers_of(jobs)
+        """Start the template of processes."""
+        solvers = list_solvers(jobs)
         if missing(needed(solvers)):
             progress.remark(COMPILING)
         self._sources = sources
@@ -63,7 +59,7 @@ class LocalEngine(ExitStack):
             executor.find_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """One that is timed, or enough for all cores."""
+        """Return one for timed replays, or enough for all cores."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:

@@ -1,8 +1,7 @@
-"""What a worker of a cluster does for a campaign that was started elsewhere.
+"""Tasks that a worker of a cluster runs for a campaign of another machine.
 
-Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files lie
-in a scratch folder of the worker's machine and are gone when a task ends. What comes and goes over
-the network are bytes. Nothing here needs Dask.
+Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files are in
+a scratch folder until a task ends. Arguments and results are bytes. Nothing here needs Dask.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from pathlib import Path
 
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.descriptions import MachineDescription
 from dpbench.bench.record.machine import describe_machine
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
-from dpbench.bench.workers.leases import leased_core
+from dpbench.bench.workers.leases import lease_core
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
 from dpbench.solvers.table import available
@@ -35,9 +34,9 @@ from dpbench.temporary_folders import temporary_folder
 
 @dataclass(frozen=True)
 class WorkerInfo:
-    """What a campaign wants to know of a worker before it gives it cells.
+    """Properties of a worker that a campaign checks first.
 
-    may_start : whether it may start processes, as one that is a daemon itself may not.
+    `may_start` tells whether it may start processes, as a daemon may not.
     """
 
     harness_version: str
@@ -47,10 +46,9 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """What all tasks of a campaign have in common.
+    """Common data of all tasks of a campaign.
 
-    solvers : all that it runs.
-    modules : the text of plug-ins, by the paths in the cells.
+    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
 
     solvers: tuple[str, ...] = ()
@@ -67,7 +65,7 @@ class MadeFile:
 
 @cache
 def worker_info() -> WorkerInfo:
-    """What is to be known of this process."""
+    """Return the properties of this process."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 
@@ -82,8 +80,8 @@ _ENDING = threading.Lock()
 
 
 @contextmanager
-def _task() -> Iterator[None]:
-    """`end_tasks` may end the block."""
+def _registered_task() -> Iterator[None]:
+    """Let `end_tasks` end the block."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -95,15 +93,14 @@ def _task() -> Iterator[None]:
 
 
 def end_tasks() -> None:
-    """End the tasks of this process, as Ctrl-C ends a campaign: what they wait for wakes them
-    within a tenth of a second, and their folders go with them."""
+    """End the tasks of this process, as Ctrl-C ends a campaign, within a tenth of a second."""
     with _ENDING:
         for thread in _TASKS:
             set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
             set_error(ctypes.c_ulong(thread), ctypes.py_object(TaskEndedError))
 
 
-@_task()
+@_registered_task()
 def make_files(
     context: CampaignContext,
     target: Target,
@@ -113,28 +110,28 @@ def make_files(
     isolated: bool,
 ) -> dict[str, MadeFile]:
     """Make files from their descriptions by path, on a core of this machine, as a `FileBatch`."""
-    with leased_core() as core, _executor(context, [core]) as (executor, folder):
+    with lease_core() as core, _executor(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
         results = _completed(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
-        return {paths[Path(r.run_id)]: _made(Path(r.run_id), r.outcome) for r in results}
+        made = {}
+        for path, outcome in ((Path(result.run_id), result.outcome) for result in results):
+            data = path.read_bytes() if outcome.outcome == "finished" else b""
+            made[paths[path]] = MadeFile(outcome, data)
+        return made
 
 
-def _made(path: Path, outcome: Outcome) -> MadeFile:
-    return MadeFile(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
-
-
-def sent_file(made: MadeFile) -> MadeFile:
-    """Return a file that the campaign's machine had."""
+def return_file(made: MadeFile) -> MadeFile:
+    """Return a file of the campaign's machine."""
     return made
 
 
 def results_of(made: Mapping[str, MadeFile | None]) -> list[Result]:
-    """Return what became of files, without their bytes; None of those that nobody came to."""
+    """Return the outcomes of files, without those that nobody came to."""
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
-@_task()
+@_registered_task()
 def run_cells(
     context: CampaignContext,
     batch: CellBatch,
@@ -147,17 +144,17 @@ def run_cells(
 
     Parameters
     ----------
-    sources : what their QPs are made from, by key.
-    alone : whether they have all cores of this machine; one of them else.
+    sources : of their QPs, by key.
+    alone : whether they have all cores of this machine, or one.
     concurrency : of timed replays, see the column of that name.
     """
-    results = [*_of_other_solvers(batch.jobs)]
+    results = [*_lose_other_versions(batch.jobs)]
     known = {result.run_id for result in results}
     jobs = [job for job in batch.jobs if job.run_id not in known]
     if not jobs:
         return results
     with ExitStack() as stack:
-        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
+        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
         executor, folder = stack.enter_context(_executor(context, cores, concurrency))
         paths = {key: folder / f"exact-{key}.npz" for key in sources}
         for key, path in paths.items():
@@ -174,13 +171,13 @@ def _completed(
     return results
 
 
-def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Lose the jobs whose solver is another one here than where the campaign was planned."""
+def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
+    """Yield lost results of jobs with another solver version than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        identity = wanted if job.cell.solver_module else _identity(job.cell.solver)
+        identity = wanted if job.cell.solver_module else _library_identity(job.cell.solver)
         if identity != wanted:
             where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
@@ -188,13 +185,13 @@ def _of_other_solvers(jobs: Sequence[CellJob]) -> Iterator[Result]:
 
 
 @cache
-def _identity(solver: str) -> str:
+def _library_identity(solver: str) -> str:
     return available(solver).identity
 
 
 @cache
 def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Looking after kernels that were not compiled takes longer than a short cell."""
+    """Return the context, once: the check for compiled kernels takes longer than a short cell."""
     return template_context(solvers)
 
 
@@ -202,7 +199,7 @@ def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
 def _executor(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
-    """Open an executor with one slot on these cores, and a folder for the files it runs from."""
+    """Open an executor with one slot on these cores, and a folder for its files."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}

@@ -1,4 +1,4 @@
-"""The engines there are, by name."""
+"""The engines by name."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def open_engine(
     ----------
     jobs : cells at a time; all cores of this machine by default.
     scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
-    tls : files to reach that scheduler with; what Dask's configuration names by default.
+    tls : files to reach that scheduler with; by default as in Dask's configuration.
     patience : of engine local: with other campaigns on this machine.
 
     Raises
     ------
-    InputError : for an unknown engine or another count of jobs, for dask where it is not installed,
-        and for a scheduler that does not answer or whose workers cannot run cells.
+    InputError : for an unknown engine or a bad count of jobs, without the extra of dask, and for a
+        scheduler that does not answer or whose workers cannot run cells.
     """
     if name not in ENGINES:
         raise InputError("--engine", "", repr(name), " or ".join(ENGINES))

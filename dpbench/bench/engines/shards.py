@@ -1,4 +1,4 @@
-"""Parts of a plan that can be run apart, by whatever starts commands on several machines."""
+"""Parts of a plan that run apart, on several machines."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.descriptions import MachineDescription, validated
-from dpbench.bench.record.result_folder import read_json, write_json
-from dpbench.bench.record.revision import Revision, revision
+from dpbench.bench.record.machine import Revision, revision
+from dpbench.bench.record.result_folder import MachineDescription, read_json, validated, write_json
 from dpbench.bench.workers.jobs import (
     BATCH_CELLS,
     CellJob,
-    by_source,
     configuration_key,
-    interleaved,
-    work_of,
+    count_steps,
+    group_by_problem,
+    group_by_source,
 )
 from dpbench.errors import InputError
 
@@ -50,7 +49,7 @@ class Shard:
 
     @classmethod
     def of_text(cls, text: str | None) -> Shard:
-        """Of "i/n"; the whole for None. InputError for what is no part."""
+        """Return the part of a text "i/n", the whole for None; InputError for what is no part."""
         if text is None:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
@@ -59,27 +58,27 @@ class Shard:
         return cls(*map(int, parts.groups()))
 
     def of_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
-        """The jobs of this part, in their order: the same wherever it is asked for.
+        """Return the jobs of this part, in order: the same wherever it is called.
 
         Parts are of about the same work. Each makes the sources of its own cells, so that cells of
-        one source stay together as far as that allows; replays of one sequence always do, which are
+        one source stay together as far as possible; replays of one sequence always do, as they are
         timed by turns.
         """
         if self == WHOLE:
             return jobs
-        share = sum(_work(job) for job in jobs) / self.count
+        share = sum(_job_steps(job) for job in jobs) / self.count
         bundles = []
-        for alike in by_source(jobs).values():
-            whole = sum(map(_work, alike)) <= share
-            bundles += [alike] if whole else _units(alike)
+        for alike in group_by_source(jobs).values():
+            whole = sum(map(_job_steps, alike)) <= share
+            bundles += [alike] if whole else _smallest_groups(alike)
         # The largest first, each to whoever has least: a cell's own text settles who that is.
-        bundles.sort(key=lambda some: (-sum(map(_work, some)), some[0].cell.to_json()))
+        bundles.sort(key=lambda some: (-sum(map(_job_steps, some)), some[0].cell.to_json()))
         loads = [(0, part) for part in range(1, self.count + 1)]
         heapify(loads)
         mine: set[str] = set()
         for some in bundles:
             load, part = loads[0]
-            heapreplace(loads, (load + sum(map(_work, some)), part))
+            heapreplace(loads, (load + sum(map(_job_steps, some)), part))
             if part == self.index:
                 mine |= {job.run_id for job in some}
         return [job for job in jobs if job.run_id in mine]
@@ -88,15 +87,13 @@ class Shard:
 WHOLE = Shard(1, 1)
 
 
-def _work(job: CellJob) -> int:
-    """What it takes where it can run: who divides it knows not what the others have installed."""
-    return work_of(job.cell)
+def _job_steps(job: CellJob) -> int:
+    return count_steps(job.cell)
 
 
-def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Jobs of one source in the smallest groups that stay together: replays of one sequence, and
-    batches of one configuration."""
-    units = interleaved([job for job in jobs if job.cell.is_timed])
+def _smallest_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
+    """Return jobs of one source in the smallest groups that stay together."""
+    units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
         if not job.cell.is_timed:
@@ -108,12 +105,7 @@ def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """What a folder says of the shard in it.
-
-    Parameters
-    ----------
-    digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
-    """
+    """Description of the shard in a folder; `digest` is that of the whole plan."""
 
     asked: RunRequest
     shard: Shard
@@ -128,7 +120,7 @@ class ShardRecord:
 
     @classmethod
     def read(cls, folder: Path) -> ShardRecord:
-        """That of a folder; InputError where it has none, or a damaged one."""
+        """Return that of a folder; InputError where there is none, or a damaged one."""
         path = folder / SHARD_FILE
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"

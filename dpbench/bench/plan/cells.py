@@ -1,4 +1,4 @@
-"""Planned cells, and those of QPs that no controller made: recorded, random, of a capability."""
+"""Planned cells, and those of QPs without a controller: recorded, random, of a capability."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dpbench.bench.capability.frontier import DIRECTIONS, Frontier
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
-    configurations_of,
+    find_refusal,
+    list_configurations,
     module_of,
-    refusal_of,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -24,18 +24,18 @@ from dpbench.bench.plan.suite import (
     ReplayTable,
     SuiteFile,
 )
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.record.qp_source import (
+from dpbench.bench.record.cell import (
     CONTROLLER,
     CapabilitySource,
+    Cell,
     QPSource,
     RandomSource,
     RecordedSource,
 )
+from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import digest, read_sequence
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import vessel_files, vessel_of
@@ -60,7 +60,7 @@ class PlannedCell:
     alias_settings: tuple[str, ...] = ()
 
 
-def cell_of(
+def plan_cell(
     configuration: Configuration,
     suite: SuiteFile,
     table: Table,
@@ -68,14 +68,15 @@ def cell_of(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
-    """The cell of one configuration of a table, or why it is refused.
+    """Return the cell of one configuration of a table, or why it is refused.
 
     Parameters
     ----------
-    why_no_sparse_form : why the QPs cannot be formulated with the states kept; "" where they can.
+    why_no_sparse_form : reason why the QPs have no sparse form; "" where they have one.
     fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
+    own_limit_s = table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
     cell = Cell(
         solver=configuration.solver,
         route=configuration.route,
@@ -83,16 +84,16 @@ def cell_of(
         settings=configuration.settings,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **fields),
+        limit_s=(own_limit_s or suite.cell_limit_s) + _waiting_s(configuration, **fields),
         solver_module=module_of(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
     )
-    planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)
+    planned = PlannedCell(cell, find_refusal(configuration), configuration.alias)
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
-    return _if_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
+    return _refuse_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
 
 
 def replay_cells(
@@ -105,10 +106,10 @@ def replay_cells(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
+    """Return the cells of a replay of so many steps; arguments as of `plan_cell`.
 
-    Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
-    the hardest steps has its share of the budgets of its stretch, and a short warm-up.
+    Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
+    share of the budgets of its stretch, and a short warm-up.
     """
     share = steps / source.stretch(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
@@ -118,7 +119,7 @@ def replay_cells(
         }
     most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
@@ -130,30 +131,24 @@ def replay_cells(
             warmup_steps=min(most, steps),
             **fields,
         )
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
     ]
 
 
-def _own_limit_s(table: Table) -> float | None:
-    """The limit of a table's cells, where it has one of its own."""
-    return table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
-
-
 def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
-    """What a waiting configuration waits on purpose, every round run again; 0 for every other
-    configuration."""
+    """Return the intended waiting time of a configuration, every round repeated; mostly 0."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """The cells of all recorded sequences of a suite.
+    """Return the cells of all recorded sequences of a suite.
 
     Parameters
     ----------
-    beside : folder of the suite; taken : names that scenarios of it have.
+    beside : folder of the suite; taken : names of its scenarios.
 
     Raises
     ------
@@ -174,14 +169,14 @@ def recorded_cells(
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
         strict = all(positive_definite(P) for P in matrices)
-        cells += planned if strict else map(_if_semidefinite, planned)
+        cells += planned if strict else map(_refuse_semidefinite, planned)
     return cells
 
 
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """The cells of a capability plot.
+    """Return the cells of a capability plot.
 
     Raises
     ------
@@ -198,20 +193,21 @@ def capability_cells(
     return [replace(planned, cell=replace(planned.cell, rounds=1)) for planned in cells]
 
 
-def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
-    """The same cell, refused if its solver needs P > 0."""
+def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
+    """Return the cell, refused if its solver needs P > 0."""
     needs = record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
-    """The cells of a table of random sequences."""
+    """Return the cells of a table of random sequences."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
-    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
-
-
-def _of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
-    planned = replace(blank, cell=replace(blank.cell, source=RandomSource.of(recipe)))
-    return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned
+    cells: list[PlannedCell] = []
+    for recipe in table.recipes():
+        source = RandomSource.of(recipe)
+        planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
+        semidefinite = FAMILIES[recipe.family].semidefinite
+        cells += map(_refuse_semidefinite, planned) if semidefinite else planned
+    return cells

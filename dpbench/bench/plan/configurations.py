@@ -1,5 +1,4 @@
-"""The configurations of a suite: which solvers it means, and every configuration of one that it
-asks for."""
+"""The configurations of a suite: its solvers in every mode of each table."""
 
 from __future__ import annotations
 
@@ -30,21 +29,21 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """The solvers of a suite, or those of `only`.
+    """Return the solvers of a suite, or those of `only`.
 
-    "all" means every solver of the table except those of an optional extra that is not installed:
-    they are left out by default (`dpbench list solvers` says so), and asked for by name.
+    "all" means every solver of the table except those of an optional extra that is not installed
+    (`dpbench list solvers`), which have to be named.
 
     Raises
     ------
     UnknownNameError : for an unknown solver.
     InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
-    named = _asked("solvers", suite.solvers)
+    named = _solvers_of_key("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
-            if table.solvers and not set(_asked(key, table.solvers)) & set(named):
+            if table.solvers and not set(_solvers_of_key(key, table.solvers)) & set(named):
                 found = ", ".join(table.solvers)
                 allowed = f"a solver of the suite: {one_of(found, named)}"
                 raise InputError("suite", key, found, allowed)
@@ -52,7 +51,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if baseline is not None and baseline not in named:
         allowed = f"a solver of the suite: {one_of(baseline, named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
-    chosen = _named(only) if only else named
+    chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
@@ -60,31 +59,31 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _asked(key: str, names: Sequence[str]) -> list[str]:
-    """The solvers that a key of a suite names."""
+def _solvers_of_key(key: str, names: Sequence[str]) -> list[str]:
+    """Return the solvers that a key of a suite names."""
     try:
-        return _named(names)
+        return _expand_names(names)
     except UnknownNameError as error:
         raise UnknownNameError("suite", key, error.found, error.allowed) from error
 
 
-def _named(names: Sequence[str]) -> list[str]:
-    """The solvers of some names, "all" spelt out."""
+def _expand_names(names: Sequence[str]) -> list[str]:
+    """Return the solvers of some names, with "all" expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if s != BASELINE_LAW and _by_default(s)]
+            chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
         else:
             chosen.append(record(name).name)
     return list(dict.fromkeys(chosen))
 
 
-def _by_default(solver: str) -> bool:
+def _is_default_solver(solver: str) -> bool:
     return record(solver).extra not in ("jax", "casadi") or available(solver).ok
 
 
-def checked_backup(name: str) -> tuple[str, str]:
-    """The backup of a closed loop and why it cannot be opened here; "" for no backup or reason.
+def check_backup(name: str) -> tuple[str, str]:
+    """Return the backup of a closed loop and why it cannot be opened here, "" for neither.
 
     Raises
     ------
@@ -93,7 +92,7 @@ def checked_backup(name: str) -> tuple[str, str]:
     """
     if not name:
         return "", ""
-    (solver,) = _asked("closed_loop.backup", [name]) if name != "all" else ("",)
+    (solver,) = _solvers_of_key("closed_loop.backup", [name]) if name != "all" else ("",)
     if not solver or module_of(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
@@ -101,28 +100,26 @@ def checked_backup(name: str) -> tuple[str, str]:
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
-def identity_of(cell: Cell, library: Availability) -> str:
-    """Version and build of the library of a cell's solver, and of that of its backup."""
+def library_identity(cell: Cell, library: Availability) -> str:
+    """Return version and build of the library of a cell's solver, and of its backup's."""
     if not cell.backup:
         return library.identity
     return f"{library.identity}, backup {available(cell.backup).identity}"
 
 
 def module_of(solver: str) -> str:
-    """The file of a plug-in that a worker has to load; "" for every other solver."""
+    """Return the plug-in file that a worker has to load; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
-def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuration]:
-    """The configurations of one table of a suite; a solver is left out of a route it does not have.
+def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
+    """Return the configurations of one table of a suite, on the routes each solver has.
 
-    A table may name solvers of its own: those of them that the suite has, too, take part.
-
-    The harness's own configurations have one call mode, whatever the table asks for, and take part
-    in timed replays alone.
+    Of solvers named by the table, those of the suite take part. The harness's own configurations
+    have one call mode, whatever the table has, and take part in timed replays alone.
     """
-    solvers = _taking_part(solvers, table)
+    solvers = _select_participants(solvers, table)
     if not solvers:
         return []
     for name in table.settings:
@@ -154,17 +151,17 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
 
-def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
-    """Those of the suite's solvers that a table means."""
+def _select_participants(solvers: Sequence[str], table: Table) -> list[str]:
+    """Return the suite's solvers that a table means."""
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
-    named = _named(table.solvers) if table.solvers else solvers
-    without = _named(table.without)
+    named = _expand_names(table.solvers) if table.solvers else solvers
+    without = _expand_names(table.without)
     return [name for name in solvers if name in named and name not in without]
 
 
-def refusal_of(configuration: Configuration) -> str:
-    """Why a configuration cannot run; "" where it can."""
+def find_refusal(configuration: Configuration) -> str:
+    """Return why a configuration cannot run; "" where it can."""
     here = available(configuration.solver)
     if not here.ok:
         return here.reason

@@ -1,4 +1,4 @@
-"""Expand a suite into cells, before anything runs."""
+"""Expansion of a suite into cells, before anything runs."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pathlib import Path
 from dpbench.bench.plan.cells import (
     PlannedCell,
     capability_cells,
-    cell_of,
+    plan_cell,
     random_cells,
     recorded_cells,
     replay_cells,
 )
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
-    checked_backup,
+    check_backup,
     choose_solvers,
-    configurations_of,
+    list_configurations,
 )
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
-from dpbench.bench.record.qp_source import CONTROLLER, ConsequenceSource, HardestSource, QPSource
+from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.loop_sequences import steered_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, one_of
@@ -38,11 +38,10 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[PlannedCell]:
-    """All cells of a suite in the order they run: closed loops, replays, recorded and random
-    ones, capability plots.
+    """Return all cells of a suite in the order they run.
 
-    Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
-    choice of `scenarios` leaves all that have no scenario out.
+    Paths of scenarios and sequences are relative to `beside`, the folder of the suite. A choice of
+    `scenarios` leaves out all that have no scenario.
 
     Raises
     ------
@@ -55,8 +54,8 @@ def plan(
             allowed = one_of(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
-    swept = _under_horizons(suite, loaded)
-    stems = _different_names([*loaded.values(), *swept.values()])
+    swept = _load_horizon_variants(suite, loaded)
+    stems = _check_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[PlannedCell] = []
     for closed in suite.closed_loop:
@@ -79,11 +78,11 @@ def plan(
     if not cells:
         allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
-    return _merged(cells)
+    return _merge_equal_cells(cells)
 
 
-def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
-    """Their names; InputError when two have the same."""
+def _check_names(scenarios: Sequence[Scenario]) -> list[str]:
+    """Return their names; InputError when two have the same."""
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
         if stems.count(stem) > 1:
@@ -92,18 +91,18 @@ def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
     return stems
 
 
-def _under_horizons(
+def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """The scenarios of the replays under each pair of horizons that a table asks for."""
+    """Return the scenarios of the replays under each pair of horizons of a table."""
     asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
-def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Each cell once, with all names of its settings.
+def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
+    """Return each cell once, with all names of its settings.
 
-    Two tables may ask for the same cell, e.g. by its route's name and as the default one.
+    Two tables may have the same cell, e.g. by its route's name and as the default one.
     """
     once: dict[str, PlannedCell] = {}
     for planned in cells:
@@ -122,12 +121,12 @@ def _closed_loop_cells(
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
-    backup, missing = checked_backup(table.backup)
+    backup, missing = check_backup(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
     cells = [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
@@ -141,7 +140,7 @@ def _closed_loop_cells(
             deadline_s=table.deadline_s,
         )
         for slowdown in table.slowdowns
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
@@ -185,21 +184,20 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """InputError for a window that is larger than its stretch, or of other QPs than a loop's."""
-    where = f"suite: replay of {scenario.name}"
+    """Refuse a window that is larger than its stretch, or of other QPs than a loop's."""
+    allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.consequence:
+    elif table.consequence:
         allowed = "0 with consequence: hardness is that of the controller's QPs"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.horizons:
+    elif table.horizons:
         allowed = "0 with horizons: each pair has other hardest steps, and they are compared"
+    if allowed:
+        where = f"suite: replay of {scenario.name}"
         raise InputError(where, "hardest", table.hardest, allowed)
 
 
 def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
-    """The name of a replay of so many steps of a scenario from the table's first on."""
     window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     return f"{scenario.name}{window}"
 
@@ -211,7 +209,7 @@ def _consequence_cells(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """The cells of each failure group; the harness's own configurations have no part in them."""
+    """Return the cells of each failure group, without the harness's own configurations."""
     thrusters, _ = steered_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"

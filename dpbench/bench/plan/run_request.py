@@ -1,4 +1,4 @@
-"""What a person asks for, a suite or a part of it, and the plan that this means."""
+"""A request of a user, a suite or a part of it, and the plan it means."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from dpbench.bench.judge.rules import supports
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.study_points import RunsTable
 from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError
@@ -24,11 +23,11 @@ from dpbench.solvers.table import load_solver_module
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All cells of what was asked for.
+    """All requested cells.
 
     Parameters
     ----------
-    path : the file of the suite; document : what is left of it.
+    path : the file of the suite; document : its requested content.
     part : whether it is less than the whole suite.
     """
 
@@ -40,14 +39,18 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """Of all cells: another plan has another one."""
-        texts = sorted(planned.cell.to_json() for planned in self.cells)
-        return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
+        """Digest of all cells, which tells plans apart."""
+        digest, separator = hashlib.sha256(), b""
+        # One by one: all texts joined would take as much memory again.
+        for text in sorted(planned.cell.to_json() for planned in self.cells):
+            digest.update(separator + text.encode())
+            separator = b"\n"
+        return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What is asked for; each as in `run_campaign`."""
+    """A request; its fields are arguments of `run_campaign`."""
 
     suite: str | None = None
     sequence: str | None = None
@@ -58,10 +61,10 @@ class RunRequest:
     solver_module: str | None = None
 
     def plan(self) -> Plan:
-        """The cells that are meant; InputError for whatever cannot be run."""
+        """Return the requested cells; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
-        name, path, document = self._suite()
+        name, path, document = self._load_request()
         chosen = {"scenarios": self.scenarios, "settings": self.settings}
         document = with_choices(document, steps=self.steps, **chosen)
         with naming(path, chosen=bool(self.settings)):
@@ -72,23 +75,23 @@ class RunRequest:
         return Plan(name, path, document, cells, part)
 
     @property
-    def _file(self) -> Path | None:
-        """The file of the suite; None where it has a name, or is none."""
+    def _suite_file(self) -> Path | None:
+        """File of the suite; None where it has a name, or is none."""
         named = self.suite is None or not self.suite.endswith(".toml")
         return None if named else Path(str(self.suite))
 
     @property
     def is_here(self) -> bool:
         """Whether the suite can be read on this machine."""
-        return self._file is None or self._file.is_file()
+        return self._suite_file is None or self._suite_file.is_file()
 
     def from_anywhere(self) -> RunRequest:
-        """The same, with the file of the suite as it is found from every folder."""
-        file = self._file
+        """Return the request with an absolute path of its suite."""
+        file = self._suite_file
         return self if file is None else replace(self, suite=str(file.resolve()))
 
-    def _suite(self) -> tuple[str, Path, SuiteFile]:
-        """Name, file and document of the suite, or of the one that replays a sequence."""
+    def _load_request(self) -> tuple[str, Path, SuiteFile]:
+        """Return name, file and document of the suite, or of one that replays a sequence."""
         if self.suite is not None and self.sequence is None:
             path, document = load_suite(self.suite)
             return path.stem, path, document
@@ -108,12 +111,12 @@ def with_choices(
     settings: Sequence[str] | None = None,
     steps: int | None = None,
 ) -> SuiteFile:
-    """The suite as it is asked for.
+    """Return the requested part of a suite.
 
     Parameters
     ----------
-    scenarios : where the suite does not name all of them, they take the place of its own, by name
-        or TOML file: each closed loop and replay is run with them, from the first step on.
+    scenarios : unless the suite names all of them, they replace its own, by name or TOML file: each
+        closed loop and replay runs with them, from the first step on.
     settings : at these levels and no other.
     steps : at most so many of each loop and replay.
 
@@ -129,40 +132,37 @@ def with_choices(
     }
     if not set(asked) <= set(suite.scenario_names):
         tables["closed_loop"] = [
-            _changed(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
+            _copy_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
         ]
         tables["replay"] = [
-            _changed(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+            _copy_with(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
         ]
     if settings:
         for key, own in tables.items():
-            tables[key] = [_changed(t, settings=list(settings)) for t in own]
+            tables[key] = [_copy_with(t, settings=list(settings)) for t in own]
     if steps is not None:
         for key in ("closed_loop", "replay", "study"):
-            tables[key] = [_changed(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
-        tables["replay"] = [_changed(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
-    chosen = scenarios or settings or steps is not None
-    return _changed(suite, **{k: _once(own) for k, own in tables.items()}) if chosen else suite
+            tables[key] = [_copy_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
+        tables["replay"] = [_copy_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+    if not (scenarios or settings or steps is not None):
+        return suite
+    # Tables may have become equal.
+    once = {
+        key: [table for i, table in enumerate(own) if table not in own[:i]]
+        for key, own in tables.items()
+    }
+    return _copy_with(suite, **once)
 
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def _changed(model: Model, **update: object) -> Model:
+def _copy_with(model: Model, **update: object) -> Model:
     return model.model_copy(update=update)
 
 
-def _once(tables: Sequence[RunsTable]) -> list[RunsTable]:
-    """Tables that have become equal, once."""
-    kept: list[RunsTable] = []
-    for table in tables:
-        if table not in kept:
-            kept.append(table)
-    return kept
-
-
-def remarks_on(planned: Sequence[PlannedCell]) -> list[str]:
-    """What the plan cannot answer, said before it runs."""
+def plan_remarks(planned: Sequence[PlannedCell]) -> list[str]:
+    """Return the limits of what the plan can answer."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports(max(lengths), 99):

@@ -1,4 +1,4 @@
-"""Expand the studies of a suite into closed-loop cells, and refuse keys that change nothing."""
+"""Expansion of the studies of a suite into closed loops, with a check for idle keys."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dpbench.bench.plan.cells import PlannedCell, cell_of
-from dpbench.bench.plan.configurations import BASELINE_LAW, configurations_of
-from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, points_of
+from dpbench.bench.plan.cells import PlannedCell, plan_cell
+from dpbench.bench.plan.configurations import BASELINE_LAW, list_configurations
+from dpbench.bench.plan.study_points import MOST_CELLS, Point, StudyPoint, StudyTable, list_points
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import StudyRealisation
 from dpbench.errors import InputError
@@ -18,16 +18,12 @@ from dpbench.scenario.variation import SEED, differ, value_of, varied, varied_fi
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
-    """The cells of all studies of a suite, in the order of their points.
-
-    Parameters
-    ----------
-    solvers : the suite's own; beside : folder of the suite.
+    """Return the cells of all studies of a suite, in the order of their points.
 
     Raises
     ------
-    InputError : for a key that the scenario has not, a value it cannot have, or one that does
-        nothing in the steps that are run.
+    InputError : for a key that the scenario has not, a value it cannot have, or one without effect
+        in the steps that run.
     """
     cells: list[PlannedCell] = []
     titles = [table.title for table in suite.study]
@@ -35,13 +31,13 @@ def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -
         if titles.count(table.title) > 1:
             allowed = "a name of its own for each study of a suite"
             raise InputError("suite", "study.name", f"two studies called {table.title!r}", allowed)
-        cells += _cells_of(suite, table, f"suite: study {table.title}", solvers, beside)
+        cells += _plan_study(suite, table, f"suite: study {table.title}", solvers, beside)
         if len(cells) > MOST_CELLS:
             raise InputError("suite", "study", f"{len(cells)} cells", f"at most {MOST_CELLS}")
     return cells
 
 
-def _cells_of(
+def _plan_study(
     suite: SuiteFile,
     table: StudyTable,
     where: str,
@@ -51,26 +47,26 @@ def _cells_of(
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: value_of(base, key, where) for key in keys}
-    points = points_of(table, own)
-    scenarios = _Scenarios(base, where, beside)
+    points = list_points(table, own)
+    scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)
-    blanks = _blanks(suite, table, base, solvers)
+    blanks = _plan_base_cells(suite, table, base, solvers)
     return [
-        _at(blank, table, point, *documents)
+        _cell_at_point(blank, table, point, *documents)
         for point in points
         for documents in (scenarios.documents(point),)
         for blank in blanks
     ]
 
 
-def _blanks(
+def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """The cells of the base scenario, one for each configuration."""
+    """Return the cells of the base scenario, one for each configuration."""
     calls = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             loops,
@@ -78,7 +74,7 @@ def _blanks(
             scenario=base.files,
             steps=1,
         )
-        for configuration in configurations_of(solvers, loops)
+        for configuration in list_configurations(solvers, loops)
     ]
     # The baseline law does not look at settings or policies: it runs once, under one name.
     once = ("default", "fresh")
@@ -89,10 +85,10 @@ def _blanks(
     ]
 
 
-def _at(
+def _cell_at_point(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, files: ScenarioDocuments, steps: int
 ) -> PlannedCell:
-    """The cell of a configuration at a point, whose scenario has these documents and steps."""
+    """Return the cell of a configuration at a point with these documents and steps."""
     cell = replace(
         blank.cell,
         scenario=files,
@@ -102,8 +98,8 @@ def _at(
     return replace(blank, cell=cell)
 
 
-class _Scenarios:
-    """The scenario of a study at its points, the latest kept: configurations share it."""
+class _ScenarioCache:
+    """The scenario of a study at its points; the latest stays, shared by configurations."""
 
     def __init__(self, base: Scenario, where: str, beside: Path | None) -> None:
         self._base, self._where, self._beside = base, where, beside
@@ -112,7 +108,7 @@ class _Scenarios:
         self._point: tuple[Point, Scenario] | None = None
 
     def documents(self, point: StudyPoint) -> tuple[ScenarioDocuments, int]:
-        """Of the scenario of a point its documents and its steps."""
+        """Return documents and steps of the scenario of a point."""
         same = self._point is not None and self._point[0] == point.values
         if self._point is None or not same or point.of_replicate.keys() - {SEED}:
             self._point = point.values, self.at(point.values | point.of_replicate)
@@ -122,21 +118,21 @@ class _Scenarios:
         return varied_files(known.files, point.of_replicate, self._where), known.steps
 
     def at(self, values: Point) -> Scenario:
-        """The scenario with these values of its keys."""
+        """Return the scenario with these values of its keys."""
         if values != self._values:
             self._scenario = varied(self._base, values, self._where, beside=self._beside)
             self._values = values
         return self._scenario
 
     def trial(self, values: Point) -> Scenario | None:
-        """As `at`; None for values that no point has together, and that cannot be."""
+        """Return the scenario with these values; None where they cannot be combined."""
         try:
             return self.at(values)
         except InputError:
             return None
 
     def refuse(self, key: str, steps: int) -> None:
-        """Raise InputError for a key that does nothing in the first `steps` steps."""
+        """Raise InputError for a key without effect in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.draws:
@@ -146,11 +142,11 @@ class _Scenarios:
 
 
 def _refuse_idle_keys(
-    table: StudyTable, points: Sequence[StudyPoint], scenarios: _Scenarios
+    table: StudyTable, points: Sequence[StudyPoint], scenarios: _ScenarioCache
 ) -> None:
-    """Raise InputError for a key of which two values make no difference, wherever it is tried.
+    """Raise InputError for a key of which two values make no difference.
 
-    It is tried at the first point and at the last one, as a seed does nothing in a calm sea.
+    It is tried at the first point and at the last one, as a seed has no effect in a calm sea.
     """
     again = table.replicates
     tried = {key: _two_values(key, points) for key in table.keys}
@@ -166,14 +162,14 @@ def _refuse_idle_keys(
 
 
 def _may_differ(one: Scenario | None, other: Scenario | None, steps: int) -> bool:
-    """Whether two runs can differ; None is a scenario that cannot be, which says nothing here."""
+    """Return whether two runs can differ; None is a scenario that cannot be made."""
     if one is None or other is None or one.steps != other.steps:
         return True
     return differ(one, other, min(steps or one.steps, one.steps))
 
 
 def _two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:
-    """The first value of a key, and the first that is another; one if all are the same."""
+    """Return the first value of a key, and the first other one if there is any."""
     first = points[0].values[key]
     other = next((p.values[key] for p in points if p.values[key] != first), None)
     return [first] if other is None else [first, other]

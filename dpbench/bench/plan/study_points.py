@@ -75,7 +75,7 @@ class DesignOfPointsTable(FileModel):
         return self
 
     def draws(self) -> Matrix:
-        """The points (points, keys) in the units of the files."""
+        """Return the points (points, keys) in the units of the files."""
         # A campaign that draws nothing starts half a second sooner, and 40 MB smaller, without.
         from scipy.stats import qmc
 
@@ -136,17 +136,16 @@ class StudyTable(RunsTable):
 
     @property
     def keys(self) -> list[str]:
-        """The dotted names of all keys that tell points apart."""
+        """Dotted names of all keys that tell points apart."""
         drawn = [] if self.design is None else list(self.design.ranges)
         return [*self.product, *self.zip, *drawn]
 
 
 @dataclass(frozen=True)
 class StudyPoint:
-    """One run of each configuration of a study.
+    """One run of each configuration of a study, `replicate` from 1.
 
-    index : of the point; replicate : from 1 on; values : of its keys; of_replicate : the same of
-    the key that tells replicates apart.
+    `values` are those of its keys, `of_replicate` that of the key that tells replicates apart.
     """
 
     index: int
@@ -155,13 +154,12 @@ class StudyPoint:
     of_replicate: Point
 
 
-def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
-    """All points of a study, each with all its replicates.
+def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
+    """Return all points of a study, each with all its replicates.
 
     Parameters
     ----------
-    own : the base scenario's own values of the drawn keys: where one is a whole number, so are the
-        values drawn for it.
+    own : the base scenario's values of the drawn keys: draws are whole numbers where these are.
     """
     axes: list[list[Point]] = [[{key: v} for v in values] for key, values in table.product.items()]
     if table.zip:
@@ -170,7 +168,7 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     if table.design is not None:
         names = list(table.design.ranges)
         rows: Sequence[Sequence[float]] = table.design.draws().tolist()
-        axes.append([_typed(dict(zip(names, row, strict=True)), own) for row in rows])
+        axes.append([_round_whole_numbers(dict(zip(names, row, strict=True)), own) for row in rows])
     merged: list[Point] = [
         {key: value for part in parts for key, value in part.items()} for parts in product(*axes)
     ]
@@ -183,7 +181,7 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     ]
 
 
-def _typed(drawn: Point, own: Mapping[str, object]) -> Point:
-    """Draws as the files want them: whole numbers where the scenario has a whole number."""
+def _round_whole_numbers(drawn: Point, own: Mapping[str, object]) -> Point:
+    """Return draws with whole numbers where the scenario has a whole number."""
     whole = {key for key in drawn if isinstance(own.get(key), int)}
     return {key: round(value) if key in whole else value for key, value in drawn.items()}

@@ -26,23 +26,22 @@ Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
-def _off_or_slower(value: float) -> float:
-    """A computer is not faster than the one that is measured."""
+def _check_slowdown(value: float) -> float:
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
-def _known_fallback(name: str) -> str:
+def _check_fallback(name: str) -> str:
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
 
 
 Fallback = Annotated[
-    str, AfterValidator(_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+    str, AfterValidator(_check_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
 ]
-Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
+Slowdown = Annotated[float, AfterValidator(_check_slowdown)]
 
 
 class RequirementsTable(FileModel):
@@ -59,14 +58,7 @@ class RequirementsTable(FileModel):
 
 
 class ClosedLoopTable(RunsTable):
-    """Every solver steers the ship itself; route "default" is each solver's own.
-
-    With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
-    much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
-    answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
-    limit of a cell here, where it is not that of the suite. With `solvers` only those of the suite
-    take part that are named here, and none of `without`.
-    """
+    """Every solver steers the ship itself; route "default" is each solver's own."""
 
     scenarios: list[str]
     """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
@@ -104,12 +96,9 @@ class ClosedLoopTable(RunsTable):
 class ReplayTable(RunsTable):
     """Identical QPs, recorded along the exactly solved loop, through every solver.
 
-    With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
-    With `solvers` only those of the suite take part that are named here, and none of `without`.
-    With `consequence` the QPs are not the controller's: a sequence for each failure group of the
-    ship says whether the other thrusters could take over at each sample. With `hardest` only a
-    window of the steps is replayed: so many in a row around the hardest of them, which has most
-    active limits and changes of them at the optimum.
+    Consequence analysis has a sequence for each failure group of the ship, which tells whether the
+    other thrusters could take over at each sample. The hardest step has most active limits and
+    changes of them at the optimum.
     """
 
     scenario: str
@@ -163,7 +152,7 @@ class RandomTable(RunsTable):
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
     def recipes(self) -> list[RandomRecipe]:
-        """The recipes of the table; InputError for one that cannot be."""
+        """Return the recipes of the table; InputError for an impossible one."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
             for family in self.families
@@ -186,10 +175,10 @@ class RecordedTable(RunsTable):
 
 
 class CapabilityTable(RunsTable):
-    """The capability plot of a ship: the largest wind its thrusters hold from 36 directions, intact
-    and after each failure (DNV-ST-0111, level 1), and the QPs at that edge through every solver.
+    """The capability plot of a ship (DNV-ST-0111, level 1), and its QPs through every solver.
 
-    Such QPs have no units but their own, and no deadline: each is solved in one round.
+    It is the largest wind the thrusters hold from 36 directions, intact and after each failure. Its
+    QPs have no units but their own, and no deadline: each is solved in one round.
     """
 
     units: ClassVar[list[Units]] = ["scaled"]
@@ -201,8 +190,7 @@ class CapabilityTable(RunsTable):
 
 
 class DesignTable(FileModel):
-    """Stability and region of attraction of controllers, those of some scenarios, in vessels; no
-    solver's part."""
+    """Stability and region of attraction of controllers in vessels, without any solver."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
     """Scenarios whose controllers are studied."""
@@ -211,11 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """What the report shows first.
-
-    `baseline` is the solver set beside the answer, by default the next best. A suite that is about
-    one step names it, `step`, and the `configuration` it was found for, as the report calls it.
-    """
+    """What the report shows first, e.g. the one step that a suite is about."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -228,11 +212,7 @@ class ReportTable(FileModel):
 class SuiteFile(FileModel):
     """`problems/suites/*.toml`; 0 steps means all steps.
 
-    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS` count;
-    0 for all of them whatever they take. Rounds in which other work slowed the load kernel run
-    again, for up to `repeat_budget_s` of each replay (both in `interleaved.py`). With
-    `baseline_law` the clipped unconstrained law steers too; with `calibration` the harness's own
-    configurations, whose cost is known, take part in every replay.
+    A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
 
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
@@ -279,7 +259,7 @@ class SuiteFile(FileModel):
 
     @classmethod
     def tables_of_cells(cls) -> list[str]:
-        """The names of the tables of which a suite has several, each a group of its cells."""
+        """Return the names of the tables that are groups of cells."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
@@ -291,7 +271,7 @@ class SuiteFile(FileModel):
 
 @contextmanager
 def naming(path: Path, *, chosen: bool = False) -> Iterator[None]:
-    """Complaints about "the suite", its scenarios and settings name its file.
+    """Name the file in errors about "the suite", its scenarios and settings.
 
     Settings that were `chosen` on the command line are not the file's.
     """
@@ -315,7 +295,7 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
-    """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
+    """Return a suite by name or TOML path, with its file; InputError if it is bad."""
     path = problem_path("suites", name_or_path)
     document = read_toml(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
@@ -325,7 +305,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     return path, parse_model(document, SuiteFile, str(path))
 
 
-_CALL: dict[str, Collection[str]] = {
+_MODE_VALUES: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(Policy),
     "settings": LEVELS,
@@ -334,17 +314,20 @@ _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
 
 def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
-    """The suite that replays one recorded sequence through every solver, default and high.
+    """Return the suite that replays one sequence through every solver, default and high.
 
-    What a search found, as `meta` of the sequence says, is replayed in the call mode and settings
-    its solver was run in as well: another route or policy shows other iterations, or none.
+    A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
+    another route or policy has other iterations, or none.
     """
     calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    worst_case = {key: meta.get(f"worst_case_{key}") for key in _CALL}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _MODE_VALUES}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
-    if all(name in known for name, known in zip(worst_case.values(), _CALL.values(), strict=True)):
+    if all(
+        name in known
+        for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
+    ):
         calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
         report = _searched_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
@@ -353,10 +336,10 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
 
 
 def _searched_step(meta: Mapping[str, object]) -> ReportTable:
-    """The step that a search found, and for whom; an empty table where the file does not say."""
+    """Return the step of a worst case and its solver; an empty table where there is none."""
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    call = [str(meta.get(f"worst_case_{key}")) for key in _CALL]
+    call = [str(meta.get(f"worst_case_{key}")) for key in _MODE_VALUES]
     settings = "" if call[2] == "default" else f", {call[2]}"
     return ReportTable(step=step, configuration=f"{solver} ({call[0]} {call[1]}{settings})")

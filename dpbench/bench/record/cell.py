@@ -1,18 +1,147 @@
-"""A cell: one configuration of the benchmark as a JSON description that runs it again."""
+"""A cell: one configuration with the source of its QPs, as JSON that runs it again.
+
+`sequences/source.py` makes and reads the QPs.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from dpbench.bench.record.qp_source import CONTROLLER, HardestSource, QPSource, source_from
+from pydantic import TypeAdapter
+
 from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.errors import InputError
+from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
+
+
+@dataclass(frozen=True)
+class QPSource:
+    """A source of QPs; `name` is that of the replayed sequence.
+
+    Attributes
+    ----------
+    kind : its name in descriptions of cells.
+    is_timed : whether its QPs follow each other in time, so that times of replays are compared.
+    is_judged : whether replays of it are part of verdicts.
+    is_of_controller : whether its QPs are those of the scenario's controller.
+    """
+
+    kind: ClassVar[str] = ""
+    is_timed: ClassVar[bool] = True
+    is_judged: ClassVar[bool] = True
+    is_of_controller: ClassVar[bool] = False
+
+    name: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as plain values for JSON; none without a source."""
+        return {"kind": self.kind, **asdict(self)} if self.kind else {}
+
+    def stretch(self, steps: int) -> int:
+        """Return the steps of its loop or sequence from which so many are chosen."""
+        return steps
+
+
+class ControllerSource(QPSource):
+    """The controller of the cell's scenario, along the reference loop."""
+
+    is_of_controller = True
+
+
+@dataclass(frozen=True)
+class HardestSource(QPSource):
+    """The hardest consecutive steps of a stretch of `of` steps of the reference loop."""
+
+    kind = "hardest"
+    is_of_controller = True
+
+    of: int = 0
+
+    def stretch(self, steps: int) -> int:
+        """Return the length of the stretch."""
+        return self.of
+
+
+@dataclass(frozen=True)
+class ConsequenceSource(QPSource):
+    """The loss of the failure group `group` along the reference loop."""
+
+    kind = "consequence"
+    is_judged = False
+
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class CapabilitySource(QPSource):
+    """The capability boundary of a ship (`vessel_files`), by polygons of some sides."""
+
+    kind = "capability"
+    is_timed = is_judged = False
+
+    sides: int = 0
+    vessel_name: str = ""
+    vessel: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomSource(QPSource):
+    """A random sequence."""
+
+    kind = "random"
+    is_timed = is_judged = False
+
+    recipe: RandomRecipe
+
+    @classmethod
+    def of(cls, recipe: RandomRecipe) -> RandomSource:
+        """Return the source of a recipe, named after it."""
+        return cls(name=recipe.name, recipe=recipe)
+
+
+@dataclass(frozen=True)
+class RecordedSource(QPSource):
+    """A recorded file or folder, by its SHA-256."""
+
+    kind = "recorded"
+
+    path: str = ""
+    sha256: str = ""
+
+
+CONTROLLER = ControllerSource()
+_KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, CapabilitySource)
+SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
+
+
+def source_from(values: Mapping[str, Any]) -> QPSource:
+    """Return the source of a description.
+
+    Raises
+    ------
+    InputError : for an unknown kind.
+    ValidationError : for invalid values.
+    """
+    if not values:
+        return CONTROLLER
+    kind = str(values.get("kind"))
+    if kind not in SOURCES:
+        raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
+    return _adapter(kind).validate_python(values)
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[QPSource]:
+    return TypeAdapter(SOURCES[kind])
+
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Units = Literal["scaled", "si"]
@@ -35,12 +164,7 @@ _OPTIONAL = (
 
 @dataclass(frozen=True)
 class StudyRealisation:
-    """What of a study a closed loop is: its name, a point and a replicate of it.
-
-    Parameters
-    ----------
-    x : values of the point's keys, by their dotted names.
-    """
+    """Point and replicate of a study that a closed loop runs; `x` has the keys' values."""
 
     name: str
     point: int
@@ -50,33 +174,25 @@ class StudyRealisation:
 
 @dataclass(frozen=True)
 class Cell:
-    """problem × solver × route × policy × settings × formulation × units, in one mode.
+    """One cell: problem × solver × route × policy × settings × formulation × units, in one mode.
 
     Parameters
     ----------
-    mode : "closed_loop" or "replay".
-    scenario : the documents of the scenario (`Scenario.files`); empty where the QPs have none.
-    steps : steps to run from `first` on; the whole run in closed loop starts at 0.
-    first : first step of a replayed sequence; of the hardest steps, that of the stretch they are
-        chosen from.
-    rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
+    scenario : documents of the scenario (`Scenario.files`); empty where the QPs have none.
+    steps : steps to run from `first` on; a closed loop starts at 0.
+    first : first step of a replayed sequence, or of the stretch whose hardest steps are replayed.
+    rounds, warmup_steps : of a replay: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
-    memory_gb : memory of its own that its process may have; 0 for the usual share of the machine's
-        (`footprint.py`).
-    budget_s : replay only: run time after which the rounds that are left are left out, once
-        `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
-    repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
-    fallback : the policy that acts when there is no usable answer, of `FALLBACKS`.
-    backup : closed loop only: the second solver that steps in before the fallback does
-        (`bench/run/backup.py`); "" for none.
-    slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
-        is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
-        and for the whole sample (`slow_computer.py`).
+    memory_gb : own memory of its process; 0 for the usual share of the machine's (`footprint.py`).
+    budget_s : of a replay: run time after which no further round begins, once `FEWEST_ROUNDS`
+        count (`interleaved.py`); 0 for no limit.
+    repeat_budget_s : of a replay: run time for repeated rounds (`interleaved.py`).
+    fallback : policy of `FALLBACKS` without a usable answer.
+    backup : of a closed loop: second solver used before the fallback; "" for none.
+    slowdown, deadline_s : of a closed loop: factor ≥ 1 by which the ship's computer is slower, and
+        deadline of a step; 0 to wait for every answer, and for the whole sample.
     seed : of the order of configurations within a round.
-    solver_module : file of the plug-in that brings the solver; "" for none.
-    source : replay only: what its QPs are made from; by default the scenario's controller, from
-        `first` on.
-    study : closed loop of a study only.
+    solver_module : file of the solver's plug-in; "" for none.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -106,8 +222,7 @@ class Cell:
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario, with the backup and the fallback where these are not the usual
-        ones; may be empty."""
+        """Name of the scenario, with an unusual backup and fallback; may be empty."""
         name = str(self.scenario["name"]) if self.scenario else ""
         if self.mode == "replay":
             return name
@@ -138,11 +253,11 @@ class Cell:
 
     @property
     def last_step(self) -> int:
-        """The sample behind the last that it needs of its source."""
+        """Sample behind the last one needed of its source."""
         return self.first + self.source.stretch(self.steps)
 
     def source_key(self, harness_version: str) -> str:
-        """Equal for cells that share the file behind their QPs."""
+        """Return a key shared by cells with the same file behind their QPs."""
         # A loop is solved once, whatever is made of it.
         return _digest([self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION])[
             :12
@@ -150,28 +265,28 @@ class Cell:
 
     @property
     def problem_key(self) -> str:
-        """Cells with the same problem key see the same QPs (replay) or the same ship."""
+        """Key shared by cells with the same QPs (replay) or the same ship (closed loop)."""
         description = self._description()
         return _digest([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
-        """Equal for equal cells, and for no others."""
+        """Key of this cell alone."""
         return _digest(self._description())
 
     def _description(self) -> dict[str, Any]:
-        """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
+        """Return all fields but the unused ones of `_OPTIONAL`, so that keys stay the same."""
         study = {} if self.study is None else vars(self.study)
         values = vars(self) | {"source": self.source.to_dict(), "study": study}
         return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
-        """The description as JSON."""
+        """Return the description as JSON."""
         return json.dumps(self._description(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
-        """The cell that `to_json` described."""
+        """Return the cell of a description."""
         values = json.loads(text)
         values["source"] = source_from(values.get("source", {}))
         if "study" in values:
@@ -179,11 +294,11 @@ class Cell:
         return cls(**values)
 
     def with_settings(self, name: str) -> Cell:
-        """The same cell under another name of its settings."""
+        """Return this cell under another name of its settings."""
         return replace(self, settings=name)
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
-        """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
+        """Return the hash of the cell and all that its result depends on (method.md section 5)."""
         description = self._description()
         return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
 
@@ -199,10 +314,10 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
+    """Outcome of a process: `outcome` of `OUTCOMES`, its cause, the form given to the solver.
 
-    n, m : size of the QP the solver was given; None where it never got one.
-    peak_bytes : largest resident memory of its process; None where it is not known.
+    n, m : size of the QP given to the solver; None where it got none.
+    peak_bytes : largest resident memory of its process; None where unknown.
     """
 
     outcome: str

@@ -1,10 +1,9 @@
 """Finished cells on disk: parts while a campaign runs, the public tables at its end.
 
-The cells of a batch are one file in `cells/`, a part, whose name has its check sum; it is there
-whole or not at all. At the end of a campaign all parts become `steps.parquet` and `runs.parquet`:
-their row groups are copied as they are, but for small ones, which are put together. A cell is
-finished when its row is in a part or in `runs.parquet`, and its steps can be read. Where a cell is
-in several places, after a campaign was killed as it tidied up, the latest holds.
+The cells of a batch are one file in `cells/`, a part with its checksum in its name. At the end of a
+campaign all parts become `steps.parquet` and `runs.parquet`: large row groups are copied as they
+are, small ones are merged. A cell is finished when its row is in a part or in `runs.parquet` and
+its steps can be read. Of several copies, as after a kill, the latest counts.
 """
 
 from __future__ import annotations
@@ -27,17 +26,20 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.bench.record.cell import OUTCOMES
-from dpbench.bench.record.finished_batch import DAMAGE, BatchPart, part_of, runs_in
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.record.step_table import (
+    DAMAGE,
     FILE_SCHEMA,
-    RUNS_SCHEMA,
+    NO_RUNS,
+    BatchPart,
+    complete_runs,
+    complete_steps,
     encode_steps,
     filter_runs,
     frame_of_runs,
+    part_of,
+    runs_in,
     runs_table,
-    stored_runs,
-    stored_steps,
     write_runs,
 )
 from dpbench.errors import InputError
@@ -55,25 +57,27 @@ COPIED_ROWS = 2**12
 CHECKED_ROWS = 512
 """Rows of runs that are looked through at a time."""
 _FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
-_CHECK = "steps_crc32"
+_CHECKSUM_KEY = "steps_crc32"
 """What the metadata of `runs.parquet` say of the file of its steps."""
 _PART = re.compile(r"part-(?P<number>\d{5}|[1-9]\d{5,8})-(?P<crc32>[0-9a-f]{8})\.parquet")
-_LEFT_OVER = re.compile(r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz")
+_UNFINISHED_FILE = re.compile(
+    r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz"
+)
 """What a file is called before it is whole."""
-_OWN = re.compile(rf"{_PART.pattern}|{_LEFT_OVER.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+")
+_OWN_FILE = re.compile(
+    rf"{_PART.pattern}|{_UNFINISHED_FILE.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+"
+)
 """The names of all files that campaigns write beside their cells."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepGroup:
-    """The steps of some runs in one row group of a file.
+    """Steps of some runs in one row group of a file.
 
     Parameters
     ----------
-    path, footer : of that file; index : of the row group in it.
-    names : the run_ids of these runs, in their order.
+    index : of the row group; names : run_ids of these runs, in order.
     may_copy : whether the row group has no other runs, is sound, and is not small.
-    read : reads it.
     """
 
     path: Path
@@ -85,45 +89,35 @@ class StepGroup:
 
     def table(self) -> pa.Table:
         """Return these steps (`FILE_SCHEMA`); one of `DAMAGE` where they cannot be read."""
-        return filter_runs(stored_steps(self.read()), set(self.names))
+        return filter_runs(complete_steps(self.read()), set(self.names))
 
 
 class Source(ABC):
-    """A place of finished cells: the public tables, or a part.
-
-    Attributes
-    ----------
-    steps : the file of their steps.
-    """
+    """A place of finished cells: the public tables, or a part; `steps` is its file of steps."""
 
     steps: Path
 
     @abstractmethod
     def rows(self) -> Iterator[pa.Table]:
-        """Return the rows of finished runs, in tables of `RUNS_SCHEMA`; one of `DAMAGE` where they
-        cannot be read."""
-
-    @abstractmethod
-    def names(self) -> list[str]:
-        """Return the run_ids of all its rows, in their order."""
+        """Return rows of finished runs (`RUNS_SCHEMA`); one of `DAMAGE` where they are damaged."""
 
     @abstractmethod
     def is_sound(self) -> bool:
-        """Whether the steps are, byte for byte, those that were written."""
+        """Return whether the steps have the bytes that were written."""
 
     @abstractmethod
     def remove(self) -> None:
         """Remove its files."""
 
     def table(self) -> pa.Table:
-        """Return `rows` in one table; none where they cannot be read."""
+        """Return `rows` in one table; an empty one where they cannot be read."""
         try:
-            return pa.concat_tables([RUNS_SCHEMA.empty_table(), *self.rows()])
+            return pa.concat_tables([NO_RUNS, *self.rows()])
         except DAMAGE:
-            return RUNS_SCHEMA.empty_table()
+            return NO_RUNS
 
     def outcomes(self) -> dict[str, str]:
-        """Return the outcome of each finished run; a run whose steps cannot be read is none."""
+        """Return the outcome of each finished run, without runs whose steps are damaged."""
         finished: dict[str, str] = {}
         try:
             for table in self.rows():
@@ -137,7 +131,7 @@ class Source(ABC):
         return {name: outcome for name, outcome in finished.items() if name in read}
 
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Return the row groups that can be read and have steps of these runs."""
+        """Return the readable row groups with steps of these runs."""
         footer = _footer(self.steps) if self.is_sound() else None
         with suppress(*DAMAGE), opened_table(self.steps) as file:
             for index in range(file.num_row_groups):
@@ -156,20 +150,22 @@ class Source(ABC):
 
 
 class PublicTables(Source):
-    """The tables of a result folder that others read."""
+    """The public tables of a result folder."""
 
     def __init__(self, out: Path) -> None:
         self.runs, self.steps = out / "runs.parquet", out / "steps.parquet"
 
     def rows(self) -> Iterator[pa.Table]:
+        """Yield its rows of finished runs."""
         with opened_table(self.runs) as file:
             # All columns, which tells whether they can be read, of some rows at a time, as the
             # descriptions of cells are long. Threads would cost more than they save.
             for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
                 table = in_full(pa.Table.from_batches([batch]), self.runs)
-                yield _finished(stored_runs(table))
+                yield _select_finished(complete_runs(table))
 
     def names(self) -> list[str]:
+        """Return the run_ids of all its rows, in order."""
         try:
             with opened_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
@@ -177,58 +173,50 @@ class PublicTables(Source):
             return []
 
     def is_sound(self) -> bool:
+        """Compare the checksum of its steps."""
         try:
             metadata = pq.read_metadata(self.runs).metadata or {}
         except DAMAGE:
             return False
-        return metadata.get(_CHECK.encode()) == b"%08x" % _check_sum(self.steps)
+        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _file_checksum(self.steps)
 
     def write(self, rows: pa.Table, steps: StepFile) -> None:
-        """Put a file of steps in its place, and then the rows beside it."""
+        """Put a file of steps in place, and then the rows."""
         steps.close()
         put(steps.path, self.steps)
-        write_runs(self.runs, rows, {_CHECK: f"{steps.crc32:08x}"})
+        write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
+        """Remove its files."""
         self.runs.unlink(missing_ok=True)
         self.steps.unlink(missing_ok=True)
 
 
 class Part(Source):
-    """The cells of a batch.
-
-    Parameters
-    ----------
-    steps : a file that is called as `_PART`.
-    """
+    """The cells of a batch, in a file named as `_PART`."""
 
     def __init__(self, steps: Path) -> None:
         self.steps, self._cells = steps, 0
-
-    def _runs(self) -> dict[str, list[Any]]:
-        """Return the columns of its runs; one of `DAMAGE` where it is not what was written."""
-        self._cells = 0
-        if not self.is_sound():
-            raise ValueError("a damaged part")
-        with opened(self.steps) as file:
-            columns = runs_in(pq.read_metadata(file).metadata)
-        self._cells = len(columns["run_id"])
-        return columns
+        self._rows: pa.Table | None = None
 
     def rows(self) -> Iterator[pa.Table]:
-        yield _finished(_typed(self._runs()))
-
-    def names(self) -> list[str]:
-        try:
-            return [str(name) for name in self._runs()["run_id"]]
-        except DAMAGE:
-            return []
+        """Yield its rows of finished runs."""
+        if not self.is_sound():
+            raise ValueError("a damaged part")
+        if self._rows is None:
+            with opened(self.steps) as file:
+                columns = runs_in(pq.read_metadata(file).metadata)
+            self._cells = len(columns["run_id"])
+            self._rows = _select_finished(_parse_runs(columns))
+        yield self._rows
 
     def is_sound(self) -> bool:
+        """Compare the checksum of its steps."""
         named = _PART.fullmatch(self.steps.name)
-        return named is not None and int(named["crc32"], 16) == _check_sum(self.steps)
+        return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
 
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+        """Return its only row group."""
         # It was sound when its rows were read, which tell the runs in its only row group.
         footer = _footer(self.steps)
         if footer is not None and footer.rows:
@@ -240,6 +228,7 @@ class Part(Source):
             return file.read_row_group(0)
 
     def remove(self) -> None:
+        """Remove its files."""
         self.steps.unlink(missing_ok=True)
 
 
@@ -252,36 +241,36 @@ def _footer(path: Path) -> Footer | None:
         return None
 
 
-def _typed(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return the runs of a part, without those that have a value of another type, or no
-    description of their cell."""
+def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return the runs of a part, without those of wrong types or without a cell description."""
     try:
         runs = runs_table(columns)
     except (ValueError, TypeError, OverflowError):
         each = range(len(columns["run_id"]))
         alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
-        single = [_typed(one) for one in alone if len(alone) > 1]
-        return pa.concat_tables([RUNS_SCHEMA.empty_table(), *single])
+        single = [_parse_runs(one) for one in alone if len(alone) > 1]
+        return pa.concat_tables([NO_RUNS, *single])
     described = [_is_described(text) for text in runs["cell"].to_pylist()]
     return runs if all(described) else runs.filter(pa.array(described))
 
 
 def _is_described(text: str | None) -> bool:
-    """Whether a text describes a cell."""
     try:
         return isinstance(json.loads(text or ""), dict)
     except (ValueError, RecursionError):
         return False
 
 
-def _finished(runs: pa.Table) -> pa.Table:
-    """Return the rows of runs that are finished, by this version of the schema."""
+def _select_finished(runs: pa.Table) -> pa.Table:
+    """Return the rows of finished runs of this schema version."""
     became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
-    return runs.filter(pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION)))
+    wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
+    # Filtering so many columns takes longer than all else, and mostly keeps all rows.
+    return runs if pc.all(wanted, min_count=0, skip_nulls=False).as_py() else runs.filter(wanted)
 
 
-def _check_sum(path: Path) -> int:
-    """Return the CRC-32 of a file; of one that is not there, of nothing."""
+def _file_checksum(path: Path) -> int:
+    """Return the CRC-32 of a file; of a missing one, that of nothing."""
     check = 0
     with suppress(OSError, InputError), opened(path) as file:
         while block := file.read(2**20):
@@ -290,7 +279,7 @@ def _check_sum(path: Path) -> int:
 
 
 class StepFile:
-    """A file of steps that is being written, of whole runs."""
+    """A file of steps being written, of whole runs."""
 
     def __init__(self, path: Path) -> None:
         self.path = new_file(path)
@@ -299,17 +288,16 @@ class StepFile:
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Number of rows."""
         return self._writer.rows + self._count
 
     @property
     def crc32(self) -> int:
-        """Of the file, once it is closed."""
+        """CRC-32 of the closed file."""
         return self._writer.crc32
 
     def copy(self, group: StepGroup) -> bool:
-        """Copy a row group of another file; False, and nothing is done, if it may not be copied,
-        or is of another layout."""
+        """Copy a row group of another file; return False where it may not be copied."""
         if not group.may_copy or group.footer is None:
             return False
         try:
@@ -320,7 +308,7 @@ class StepFile:
         return True
 
     def add(self, table: pa.Table) -> None:
-        """Add whole runs; they are gathered into row groups."""
+        """Add whole runs, merged into row groups."""
         self._waiting.append(table)
         self._count += table.num_rows
         if self._count >= GROUP_ROWS:
@@ -343,8 +331,8 @@ class CellStore:
 
     Attributes
     ----------
-    folder : where parts lie, `cells/`; public : the tables that others read.
-    finished : of each finished cell its outcome, by run_id.
+    folder : folder of parts, `cells/`.
+    finished : outcome of each finished cell, by run_id.
     """
 
     def __init__(self, out: Path) -> None:
@@ -352,7 +340,7 @@ class CellStore:
         out.mkdir(parents=True, exist_ok=True)
         make_folder(self.folder)
         self._stale: set[str] = set()
-        self._tidy()
+        self._remove_leftovers()
         numbers = {
             path: int(named["number"])
             for path in self.folder.iterdir()
@@ -369,22 +357,20 @@ class CellStore:
             self.finished |= source.outcomes()
 
     def _sources(self) -> list[Source]:
-        """Where finished cells are, the latest last."""
         return [self.public, *self.parts]
 
-    def _tidy(self) -> None:
-        """Remove what a killed campaign left half done."""
+    def _remove_leftovers(self) -> None:
+        """Remove the unfinished files of a killed campaign."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
         for path in self.folder.iterdir():
-            if _LEFT_OVER.fullmatch(path.name):
+            if _UNFINISHED_FILE.fullmatch(path.name):
                 path.unlink(missing_ok=True)
 
     @property
     def remarks(self) -> list[str]:
-        """A line on the files in it that no campaign writes, such as copies of a program that
-        keeps folders in sync; none of them is read."""
-        others = sorted(p.name for p in self.folder.iterdir() if not _OWN.fullmatch(p.name))
+        """A line on files that no campaign writes, such as those of sync programs."""
+        others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         said = (
             f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""
@@ -392,7 +378,7 @@ class CellStore:
         return [said] if said else []
 
     def forget(self, run_ids: Iterable[str]) -> None:
-        """Take these cells as unfinished, whatever is there of them."""
+        """Take these cells as unfinished."""
         self._stale |= set(run_ids)
         for run_id in self._stale:
             self.finished.pop(run_id, None)
@@ -408,19 +394,14 @@ class CellStore:
         self.finished |= part.outcomes
 
     def keep(self, rows: pa.Table, steps: pa.Table) -> None:
-        """Store finished cells of other files.
-
-        Parameters
-        ----------
-        steps : all of these runs have.
-        """
+        """Store finished cells of other files; `steps` has the steps of all of them."""
         for first in range(0, len(rows), PART_CELLS):
-            some = rows.slice(first, PART_CELLS).to_pylist()
-            names = {row["run_id"] for row in some}
-            self.add(part_of(some, filter_runs(steps, names) if len(steps) else steps))
+            columns = rows.slice(first, PART_CELLS).to_pydict()
+            some = filter_runs(steps, set(columns["run_id"])) if len(steps) else steps
+            self.add(part_of(columns, some))
 
     def adopt(self, other: CellStore) -> None:
-        """Take over the finished cells of another store; what cannot be read is none."""
+        """Copy the readable finished cells of another store."""
         rows, sources = other.collect()
         read: set[str] = set()
         for group in other.groups(sources):
@@ -433,9 +414,8 @@ class CellStore:
         self.keep(without_steps(rows, read), FILE_SCHEMA.empty_table())
 
     def collect(self) -> tuple[pa.Table, dict[str, Source]]:
-        """Return the rows of all finished cells (`RUNS_SCHEMA`), and where each is: of several
-        places the latest."""
-        tables, sources = [RUNS_SCHEMA.empty_table()], dict[str, Source]()
+        """Return the rows of all finished cells (`RUNS_SCHEMA`), and the latest source of each."""
+        tables, sources = [NO_RUNS], dict[str, Source]()
         for source in self._sources():
             table = source.table()
             if self._stale and source in self._before:
@@ -454,7 +434,7 @@ class CellStore:
         return frame_of_runs(self.collect()[0])
 
     def groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
-        """Return the steps of all finished cells once, by where each is."""
+        """Return the steps of all finished cells once, by the source of each."""
         names: dict[Source, set[str]] = {}
         for name, source in sources.items():
             names.setdefault(source, set()).add(name)
@@ -462,7 +442,7 @@ class CellStore:
             yield from source.groups(own)
 
     def remove(self, parts: Iterable[Part]) -> None:
-        """Remove parts whose cells are elsewhere by now."""
+        """Remove parts whose cells are stored elsewhere."""
         for part in list(parts):
             part.remove()
             self.parts.remove(part)

@@ -18,9 +18,7 @@ COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
 class Configuration:
     """solver × route × policy × settings × units × formulation.
 
-    Parameters
-    ----------
-    alias : further names of the same settings, where settings have no effect.
+    `alias` has further names of the same settings, where settings have no effect.
     """
 
     solver: str
@@ -39,11 +37,11 @@ class Configuration:
 
     @property
     def label(self) -> str:
-        """What it is called beside others: `osqp (native warm, high, si, sparse)`."""
+        """Label among others: `osqp (native warm, high, si, sparse)`."""
         return self.label_of(self.solver)
 
     def label_of(self, solver: str) -> str:
-        """The label with another name of the solver, as one that tells its version."""
+        """Return the label with another name of the solver, such as one with its version."""
         units = "" if self.units == "scaled" else f", {self.units}"
         formulated = self.formulation not in (COMMON, "none")
         formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
@@ -51,13 +49,12 @@ class Configuration:
 
     @property
     def in_common_formulation(self) -> Configuration:
-        """The same over problems of which each has a common formulation of its own: see
-        `Records.runs`."""
+        """The configuration in the common formulation of its problem (`Records.runs`)."""
         return replace(self, formulation=COMMON)
 
 
 def settings_level(settings: str) -> tuple[int, str]:
-    """Sort key of a settings level, the most usual first."""
+    """Return the sort key of a settings level, the most usual first."""
     known = settings in LEVELS
     level = LEVELS.index(settings) if known else len(LEVELS)
     return level, settings

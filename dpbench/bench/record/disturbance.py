@@ -1,7 +1,7 @@
-"""What disturbs a replay, as far as the kernel shows it: counters around every round.
+"""Disturbances of a replay: kernel counters around every round.
 
-Read outside the timed phases. A counter that the kernel does not show is NaN; a steal time of 0 may
-also mean that the host of a virtual machine does not tell.
+They are read outside of the timed phases. A hidden counter is NaN; a steal time of 0 may also mean
+that the host of a virtual machine hides it.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ RULE = (
 
 
 def counters() -> Floats:
-    """(6,) the counters of `COUNTERS` now, since any moment: only differences mean something.
+    """Return the counters of `COUNTERS` (6,), of which only differences have a meaning.
 
-    Clock [s], context switches of this process, steal time [s] and throttle events of the core it
-    is pinned to (their mean over cores where it is pinned to several), processor time of all
-    threads but the calling one [s].
+    Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
+    mean over several), processor time of all threads but the calling one [s].
     """
     used = resource.getrusage(resource.RUSAGE_SELF)
     # Both by the precise clock of the scheduler, the process last: an idle one adds nothing to it.
@@ -83,10 +82,10 @@ def _throttled(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """The columns on what disturbed a replay: sums over the rounds that count.
+    """Return the disturbance columns of a replay: sums over the counting rounds.
 
-    Of a round that was run again, the last attempt counts; `rerun_rounds` says how many were.
-    `solve_s` is the time of the steps of the same rounds, less what they waited for the core.
+    Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
+    less what they waited for the core.
     """
     whole = np.flatnonzero(log.done[1:] > 0) + 1
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
@@ -99,13 +98,13 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What disturbed some replays; a number nobody saw is NaN.
+    """Disturbances of some replays; an unknown number is NaN.
 
     Parameters
     ----------
-    rounds, disturbed, rerun : rounds that count, those still disturbed, those run again.
-    seconds : how long they took; steal_s : of it taken by the host.
-    involuntary : context switches against the worker's will; throttled : throttle events.
+    rounds, disturbed, rerun : rounds that count, those still disturbed, those repeated.
+    seconds : their duration; steal_s : of it taken by the host.
+    involuntary : context switches; throttled : throttle events.
     """
 
     rounds: float
@@ -118,7 +117,7 @@ class Disturbance:
 
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
-        """Of several replays together; what some did not see is the sum over the others."""
+        """Return the sum of several replays, of unknown numbers that of the known ones."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
@@ -126,15 +125,15 @@ class Disturbance:
     @property
     def steal_share(self) -> float:
         """Share of the time that the host of a virtual machine took."""
-        return self.steal_s / self.seconds if self.seconds > 0 else float("nan")
+        return self.steal_s / (self.seconds or np.nan)
 
     @property
     def switches_per_s(self) -> float:
         """Involuntary context switches a second."""
-        return self.involuntary / self.seconds if self.seconds > 0 else float("nan")
+        return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """What disturbed them by `RULE`; none for a quiet machine."""
+        """Return the violations of `RULE`; none for a quiet machine."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

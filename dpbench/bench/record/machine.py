@@ -1,4 +1,4 @@
-"""Describe the machine a result comes from, as far as its kernel shows it."""
+"""The machine and the revision of dpbench that a result comes from."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ import importlib.metadata
 import json
 import os
 import platform
+import subprocess
 import time
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.descriptions import ComparedMachine, MachineDescription
+from dpbench.bench.record.result_folder import ComparedMachine, MachineDescription, SuiteDescription
 
+_CPU = Path("/sys/devices/system/cpu/cpu0")
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -30,13 +34,13 @@ THREAD_VARIABLES = (
 
 
 def pin_threads() -> None:
-    """Ask every numerical library that starts after this for one thread."""
+    """Limit every numerical library that is loaded later to one thread."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
 
 def clock_read_ns() -> tuple[float, int]:
-    """Median cost of reading the clock and the smallest difference it shows [ns]."""
+    """Return the median cost of reading the clock and its smallest difference [ns]."""
     clock = time.perf_counter_ns
     reads = [clock() for _ in range(20_000)]
     steps = sorted(b - a for a, b in pairwise(reads))
@@ -44,12 +48,12 @@ def clock_read_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """What `machine.json` holds; `id` hashes what makes timings comparable.
+    """Return the content of `machine.json`; `id` hashes what makes timings comparable.
 
-    The id covers CPU model, cores, memory, kernel release, Python and the libraries every
-    configuration uses; a solver's own version is part of each cell's key instead.
+    That is CPU model, cores, memory, kernel release, Python and the libraries of every
+    configuration; a solver's own version is part of each cell's key instead.
     """
-    read_cost, resolution = clock_read_ns()
+    (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
     lasting: ComparedMachine = {
         "cpu_model": _cpu_model(),
         "cores": os.cpu_count() or 1,
@@ -62,10 +66,10 @@ def describe_machine() -> MachineDescription:
     return {
         "id": digest[:12],
         **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
-        "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
-        "frequency_MHz": _frequency(),
+        "governor": _governor(),
+        "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
         "blas": _blas(),
-        "throttle_counters": "visible" if _throttle_visible() else "not visible",
+        "throttle_counters": "visible" if (_CPU / "thermal_throttle").is_dir() else "not visible",
         "affinity": sorted(os.sched_getaffinity(0)),
         "clock_read_ns": read_cost,
         "timer_resolution_ns": resolution,
@@ -80,15 +84,15 @@ def _version(distribution: str) -> str:
         return "not installed"
 
 
-def _first_line(path: str) -> str:
+def _governor() -> str:
     try:
-        return Path(path).read_text(encoding="ascii").strip()
+        return (_CPU / "cpufreq" / "scaling_governor").read_text(encoding="ascii").strip()
     except OSError:
         return "not visible"
 
 
 def _blas() -> list[str]:
-    """The BLAS libraries that are loaded, with the kernels they chose for this processor."""
+    """Return the loaded BLAS libraries with their kernels for this processor."""
     return [
         " ".join(
             str(pool[key]) for key in ("internal_api", "version", "architecture") if pool.get(key)
@@ -96,10 +100,6 @@ def _blas() -> list[str]:
         for pool in threadpool_info()
         if pool["user_api"] == "blas"
     ]
-
-
-def _throttle_visible() -> bool:
-    return Path("/sys/devices/system/cpu/cpu0/thermal_throttle").is_dir()
 
 
 def _cpu_model() -> str:
@@ -112,6 +112,69 @@ def _cpu_model() -> str:
     return platform.processor() or platform.machine()
 
 
-def _frequency() -> float | str:
-    frequency = psutil.cpu_freq()
-    return round(frequency.current) if frequency and frequency.current else "not visible"
+Revision = dict[str, Any]
+"""`commit`, the full hash, and `clean`: whether the files of the package were those of the commit;
+empty where neither a checkout nor an installer tells."""
+WAIT_S = 10.0
+
+
+@cache
+def revision() -> Revision:
+    """Return the revision of the running package."""
+    return checkout_revision(Path(__file__).parents[2]) or installed()
+
+
+def checkout_revision(package: Path) -> Revision:
+    """Return the revision of a package that is part of a git checkout."""
+    commit = _git(package, "rev-parse", "HEAD")
+    # An environment may lie in the checkout of another project, which ignores it.
+    part = _git(package, "ls-files", "--error-unmatch", "__init__.py")
+    changes = _git(package, "status", "--porcelain", "--", ".")
+    if commit is None or part is None or changes is None:
+        return {}
+    return {"commit": commit, "clean": changes == ""}
+
+
+def installed() -> Revision:
+    """Return the commit that dpbench was installed from, as noted by its installer (PEP 610)."""
+    try:
+        noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
+    return {} if commit is None else {"commit": str(commit), "clean": True}
+
+
+def revisions(earlier: list[Revision], now: Revision) -> list[Revision]:
+    """Return all revisions that cells of a folder were run with, the latest last."""
+    return [*(one for one in earlier if one != now), *([now] if now else [])]
+
+
+def revision_text(suite: SuiteDescription) -> str:
+    """Return the revisions of `suite.json` in words; "" where there are none."""
+    named = [
+        f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
+        for one in suite.get("revisions", [])
+    ]
+    return f"commit {', '.join(named)}" if named else ""
+
+
+def made_by(suite: SuiteDescription) -> str:
+    """Return version and revisions of dpbench in `suite.json`."""
+    version = f"dpbench {suite.get('harness_version', '')}"
+    return ", ".join(filter(None, (version, revision_text(suite))))
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """Return the output of git in a folder; None where it is missing or fails."""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            timeout=WAIT_S,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout.strip()

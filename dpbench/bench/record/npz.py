@@ -1,10 +1,10 @@
-"""Files of arrays (`.npz`) that hold no Python objects, and the same bytes for the same arrays.
+"""Files of arrays without Python objects, with the same bytes for the same arrays.
 
-What a campaign keeps for itself, it keeps in one piece: a zip file of ten small arrays takes
-milliseconds to write or read, as much as a hundred steps of a loop.
+Arrays of a result folder are stored in one piece: ten small arrays as a zip file take milliseconds
+to write or read, as much as a hundred steps of a loop.
 
-    mark, length of the header, CRC-32 of all behind it; the header, {name: [type, shape]} as JSON;
-    the arrays in this order, each from a multiple of `_ALIGN` bytes on
+    mark, length of the header, CRC-32 of the rest; the header, {name: [type, shape]} as JSON; the
+    arrays in this order, each at a multiple of `_ALIGN` bytes
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ DAMAGE = (
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write the arrays to `path` in their order, compressed, whole or not at all."""
+    """Write arrays to `path` in order, compressed, whole or not at all."""
     with replaced(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
             member = io.BytesIO()
@@ -67,20 +67,20 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays into a result folder, in one piece: whole or not at all."""
+    """Write arrays into a result folder in one piece, whole or not at all."""
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
-    body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
+    body = parts[0].ljust(size) + b"".join(_pad_array(array) for array in parts[1:])
     write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
-def _padded(array: bytes) -> bytes:
+def _pad_array(array: bytes) -> bytes:
     return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
 
 
-def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
-    """The arrays of a file that `keep` wrote, as parts of `data`."""
+def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
+    """Return the arrays of a file written by `keep`, as parts of `data`."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
         raise ValueError("another check sum than it was written with")
@@ -95,18 +95,18 @@ def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
 
 @contextmanager
 def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """The arrays that `keep` wrote, or those of a zip file, each read when it is asked for.
+    """Open the arrays written by `keep`, or those of a zip file, each read on access.
 
     Raises
     ------
-    ResultsError : the file is damaged, or gone; also for what the block misses in it.
+    ResultsError : the file is missing or damaged; also for arrays the block looks for in vain.
     """
     try:
         with opened(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
             file.seek(0)
             if is_own:
-                yield _in_one_piece(np.fromfile(file, np.uint8))
+                yield _parse_arrays(np.fromfile(file, np.uint8))
                 return
             with zipfile.ZipFile(file) as archive:
                 _check_members(archive, path)
@@ -122,15 +122,15 @@ def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """The arrays of `path`, and the bytes of members that hold Python objects, which stay packed.
+    """Read the arrays of `path`, and the still packed bytes of members with Python objects.
 
     Parameters
     ----------
-    what : what the file should be, for the error's words.
+    what : expected content, for the error message.
 
     Raises
     ------
-    InputError : when it cannot be read or is damaged.
+    InputError : it cannot be read or is damaged.
     """
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
@@ -139,10 +139,10 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
             with zipfile.ZipFile(file) as archive:
                 for member in _check_members(archive, path):
                     key = member.filename.removesuffix(".npy")
-                    if _header(archive, member).hasobject:
+                    if _read_member_type(archive, member).hasobject:
                         objects[key] = archive.read(member)
                     else:
-                        arrays[key] = _array(archive, member)
+                        arrays[key] = _read_member(archive, member)
         except DAMAGE as error:
             if isinstance(error, InputError):
                 raise
@@ -154,7 +154,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
 
 
 def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
-    """The members of a zip file, once their sizes and compression are known to be sensible."""
+    """Return the members of a zip file after a check of their sizes and compression."""
     members = archive.infolist()
     for member in members:
         # Of these alone zipfile unpacks no more than a member declares, and NumPy writes no other.
@@ -165,7 +165,7 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
     return members
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(member) as stream:
         # An array read from the stream itself: its check sum is compared at the end.
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
@@ -179,8 +179,8 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     return array
 
 
-def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
-    """The type of the array in a member, which has the size that its header declares."""
+def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
+    """Return the type of the array in a member; ValueError for another size than declared."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = {
@@ -211,13 +211,13 @@ def float_array(
     infinite: str = "",
     nan: bool = False,
 ) -> Floats:
-    """The array `name` as float64.
+    """Return the array `name` as float64.
 
     Parameters
     ----------
-    where : the file it is from; shape : what it must have.
-    infinite : which infinities it may hold: "+", "-", "+-" or none.
-    nan : whether it may hold NaN.
+    where : its file; shape : the required one.
+    infinite : allowed infinities: "+", "-", "+-" or none.
+    nan : whether NaN is allowed.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def float_array(
 
 
 def text_of(arrays: Arrays, where: str, name: str) -> str:
-    """The text `name`; InputError when it is missing or none."""
+    """Return the text `name`; InputError where there is none."""
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
@@ -254,7 +254,7 @@ def text_of(arrays: Arrays, where: str, name: str) -> str:
 
 
 def count_of(arrays: Arrays, where: str, name: str) -> int:
-    """The whole number `name`, 0 or more; InputError when it is missing or none."""
+    """Return the whole number `name`, 0 or more; InputError where there is none."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
         found = "nothing" if array is None else np.array2string(array, threshold=4)

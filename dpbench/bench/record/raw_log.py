@@ -1,7 +1,7 @@
-"""The raw log of a cell: named arrays in one memory-mapped file, so that a crash keeps its steps.
+"""The raw log of a cell: named arrays in one memory-mapped file that survives a crash.
 
-The worker only assigns into the arrays; whoever outlives it (a crash, a hang, a kill) opens the
-same file and finds every step that was completed.
+The worker only assigns into the arrays; its supervisor opens the same file after a crash, a hang or
+a kill and finds every completed step.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def loop_layout(
     *,
     backup: bool = False,
 ) -> Layout:
-    """Arrays of a closed-loop log of `steps` steps.
+    """Return the arrays of a closed-loop log of `steps` steps.
 
     Parameters
     ----------
@@ -76,9 +76,8 @@ def loop_layout(
     n_f : entries of the thrusters' forces, where they are commanded.
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
         controller is no cascade.
-    backup : whether there is a backup.
     """
-    layout = _answers(1, steps, n, m) | {
+    layout = _answer_arrays(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
@@ -89,19 +88,19 @@ def loop_layout(
         "counters": ("f8", (1, len(COUNTERS))),
     }
     if backup:
-        of_backup = _answers(1, steps, n, m)
+        of_backup = _answer_arrays(1, steps, n, m)
         of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
         layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
-    second = _answers(1, steps, *allocation) if any(allocation) else {}
+    second = _answer_arrays(1, steps, *allocation) if any(allocation) else {}
     of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
     return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
-    """Arrays of a replay log: round 0 is the warm-up."""
-    return _answers(rounds, steps, n, m) | {
+    """Return the arrays of a replay log, in which round 0 is the warm-up."""
+    return _answer_arrays(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
@@ -112,7 +111,7 @@ def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
+def _answer_arrays(rounds: int, steps: int, n: int, m: int) -> Layout:
     return {
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
@@ -130,7 +129,7 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
 
 
 class AnswerLog:
-    """Answers to the QPs of a run: arrays over (rounds, steps), with the times they took."""
+    """Answers to the QPs of a run: arrays over (rounds, steps), with their times."""
 
     done: Ints
     started: Ints
@@ -147,11 +146,10 @@ class AnswerLog:
 
 
 class BackupLog(AnswerLog):
-    """Answers of the backup in the steps in which it was asked; a step it was not asked in has −1
-    for all its times.
+    """Answers of the backup; −1 for all times of a step without one.
 
-    `acted` (steps,) whether its plan was applied in the step, or began to be; `ready_ns` (steps,)
-    of a slow computer, when its answer was there, counted from t_k; −1 where there is none.
+    `acted` (steps,) whether its plan was applied, or began to be; `ready_ns` (steps,) time of its
+    answer on a slow computer from t_k on, −1 where there is none.
     """
 
     acted: NDArray[np.uint8]
@@ -159,16 +157,16 @@ class BackupLog(AnswerLog):
 
 
 class RawLog(AnswerLog):
-    """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
+    """Named arrays over one buffer, as attributes: `log.times[r, k]`.
 
-    `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
-    whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
-    was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
-    record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
-    round r; `tau` the force applied and `thrust` the forces of thrusters, where they are commanded;
-    `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops. Of a cascade,
-    `demand` (steps, 3) is the force asked of the thrusters, and `allocation` the answers to its
-    second QP, None where there is none. `backup` holds the answers of the backup, None without one.
+    `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
+    fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the
+    time of the first visit of each step, −1 without a record; `first_reference_kernel_ns[r]` the
+    larger reference time around the first attempt of round r; `tau` the applied force and `thrust`
+    the thruster forces, where they are commanded; `latency_ns` (steps,) is written by
+    `slow_computer.py`. Of a cascade, `demand` (steps, 3) is the force demanded of the thrusters,
+    and `allocation` has the answers to its second QP. `allocation` and `backup` are None where
+    there is none.
     """
 
     theta: Floats
@@ -202,23 +200,23 @@ class RawLog(AnswerLog):
 
     @classmethod
     def in_memory(cls, layout: Layout) -> RawLog:
-        """A log for a run in this process."""
+        """Return a log for a run in this process."""
         return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> RawLog:
-        """A new log file at `path`, with its layout beside it; all pages touched beforehand.
+        """Create a log file at `path` with its layout beside it, all pages touched.
 
-        It appears at `path` whole or not at all: the supervisor may look at any moment.
+        It appears at `path` whole or not at all, as the supervisor may read it at any moment.
 
         Raises
         ------
-        OSError : there is no room for it. Later a step that finds none would die by SIGBUS.
+        OSError : there is no room for it. A later step would die by SIGBUS.
         """
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")
         try:
-            _fill(blank, log_bytes(layout))
+            _allocate_file(blank, log_bytes(layout))
             blank.replace(path)
         finally:
             blank.unlink(missing_ok=True)
@@ -226,35 +224,35 @@ class RawLog(AnswerLog):
 
     @classmethod
     def open(cls, path: Path) -> RawLog:
-        """The log at `path`, writable and shared with whoever else has it open."""
+        """Open the log at `path`, writable and shared."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:
             return cls(layout, mmap.mmap(file.fileno(), 0))
 
     def touch(self) -> None:
-        """Read a byte of every page, so that the kernel maps it into this process now."""
+        """Read a byte of every page, so that the kernel maps it into this process."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
 def step_ns(times: Ints) -> Ints:
-    """(...) what steps took [ns], of their phases (..., `TIMES`)."""
+    """Return the time of steps [ns] (...) of their phases (..., `TIMES`)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 
 def spent_ns(phases_ns: Iterable[int]) -> int:
-    """What one step took [ns], of its phases `OF_SOLVER`."""
+    """Return the time of one step [ns] of its phases `OF_SOLVER`."""
     return sum(ns for ns in phases_ns if ns > 0)
 
 
 def log_bytes(layout: Layout) -> int:
-    """Size of a log of that layout."""
+    """Return the size of a log of that layout."""
     sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
 
-def _fill(path: Path, size: int) -> None:
-    """Make a file of zeros whose every block the file system has given away."""
+def _allocate_file(path: Path, size: int) -> None:
+    """Make a file of zeros with all its blocks allocated."""
     with path.open("wb") as file:
         # A disk that allocates late says only now what it has no room for; some cannot say it.
         try:
@@ -266,10 +264,10 @@ def _fill(path: Path, size: int) -> None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a log has all its bytes and each page can be written.
+    """Return whether a log has all its bytes and each page can be written.
 
-    Where not, whoever writes there through memory dies by SIGBUS. A file system that copies on
-    write shows a lack of room only when asked, so a byte of each page is written as it is.
+    Otherwise writing to it through memory is a SIGBUS. A file system that copies on write shows a
+    lack of room only when written, so a byte of each page is rewritten.
     """
     try:
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
@@ -285,6 +283,6 @@ def is_whole(path: Path) -> bool:
 
 
 def discard(path: Path) -> None:
-    """Remove a log that has been evaluated."""
+    """Remove an evaluated log."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

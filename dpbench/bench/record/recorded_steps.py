@@ -1,15 +1,11 @@
-"""The steps of a result folder, asked for by run and by column: never the whole of them at once.
+"""The steps of a result folder by run and column, read row group by row group.
 
-    scan    all runs that are wanted, in the order of the table, some hundred thousand rows each
-    of      one run, wherever it stands
-
-A file is read row group by row group, and of each the columns alone that are asked for; row groups
-without a wanted run are not read. So memory is that of one row group, however many runs there are.
+Only requested columns are read, and only row groups with requested runs: memory is that of one row
+group, however many runs there are.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
@@ -21,12 +17,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.schema import STEP_COLUMNS, Columns, as_columns, as_steps
+from dpbench.bench.record.schema import STEP_COLUMNS, as_columns, as_steps
 from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     STRING_COLUMNS,
     absent_column,
     filter_runs,
+    plain_frame,
 )
 from dpbench.errors import ResultsError
 from dpbench.files.tables import opened_table
@@ -34,45 +31,11 @@ from dpbench.files.tables import opened_table
 ALL = tuple(STEP_COLUMNS)
 KEYS = {"run_id", "repeat", "k"}
 """The columns that name a step, without which a table is none of steps."""
-KEPT_GROUPS = 2
+CACHED_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
 
 
-class StepTable(ABC):
-    """The rows of `steps.parquet`, those of a run behind each other.
-
-    Attributes
-    ----------
-    rows : how many there are.
-    """
-
-    rows: int
-
-    @abstractmethod
-    def scan(
-        self, columns: Sequence[str], run_ids: Container[str] | None = None
-    ) -> Iterator[pd.DataFrame]:
-        """The rows of whole runs, some hundred thousand at a time, with some of `STEP_COLUMNS`.
-
-        Parameters
-        ----------
-        run_ids : only the steps of these runs; None for all.
-
-        Raises
-        ------
-        ResultsError : the file is damaged where it is read.
-        """
-
-    @abstractmethod
-    def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The rows of one run; none where it left none. Raises as `scan` does."""
-
-    @abstractmethod
-    def frame(self) -> pd.DataFrame:
-        """All rows with all columns, in memory."""
-
-
-class StepsInMemory(StepTable):
+class StepsInMemory:
     """The rows of a data frame with the columns of `STEP_COLUMNS`."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
@@ -81,36 +44,37 @@ class StepsInMemory(StepTable):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """All of them in one table."""
+        """Yield all rows in one table."""
         some = self._frame[list(columns)]
         if run_ids is not None:
             wanted = [
-                np.full(end - first, name in run_ids) for name, (first, end) in self._places.items()
+                np.full(end - first, name in run_ids)
+                for name, (first, end) in self._run_rows.items()
             ]
             some = some[np.concatenate([np.zeros(0, dtype=np.bool_), *wanted])]
         if len(some):
             yield some
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """A slice of the table."""
-        first, end = self._places.get(run_id, (0, 0))
+        """Return a slice of the table."""
+        first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
     def frame(self) -> pd.DataFrame:
-        """The table itself."""
+        """Return the table itself."""
         return self._frame
 
     @cached_property
-    def _places(self) -> dict[str, tuple[int, int]]:
+    def _run_rows(self) -> dict[str, tuple[int, int]]:
         return places_of(self._frame["run_id"])
 
 
-class StepsOnDisk(StepTable):
+class StepsOnDisk:
     """The rows of the `steps.parquet` of a result folder.
 
     Raises
     ------
-    ResultsError : the file is missing or damaged, or lacks a key, or a column is of another type.
+    ResultsError : the file is missing or damaged, lacks a key, or has a column of another type.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -119,13 +83,13 @@ class StepsOnDisk(StepTable):
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
         self._check(schema)
-        self._read = lru_cache(maxsize=KEPT_GROUPS)(self._group)
+        self._read = lru_cache(maxsize=CACHED_GROUPS)(self._group)
 
     def tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
-        """As `scan`, as Arrow tables."""
-        for group, places in enumerate(self._places):
+        """Yield tables of Arrow, as `scan` yields frames."""
+        for group, places in enumerate(self._run_rows):
             names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
                 table = self._table(group, columns)
@@ -136,34 +100,43 @@ class StepsOnDisk(StepTable):
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """A row group, or what is wanted of it, at a time."""
+        """Yield the rows of whole runs, some hundred thousand at a time.
+
+        Parameters
+        ----------
+        columns : of `STEP_COLUMNS`.
+        run_ids : only the steps of these runs; None for all.
+
+        Raises
+        ------
+        ResultsError : the file is damaged.
+        """
         for table in self.tables(columns, run_ids):
             yield _as_frame(table, columns)
 
     def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """Out of its row group, which is kept for the runs beside it."""
+        """Return a run out of its row group, which stays in memory for its neighbours."""
         group = self._group_of.get(run_id)
         if group is None:
-            return as_columns(pd.DataFrame(), _chosen(columns))
-        first, end = self._places[group][run_id]
+            return as_columns(pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns})
+        first, end = self._run_rows[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
     def frame(self) -> pd.DataFrame:
-        """The whole file."""
+        """Return the whole file."""
         tables = [_as_frame(table, ALL) for table in self.tables(ALL)]
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check(self, schema: pa.Schema) -> None:
-        """Refuse a file without the keys of a step table, or with columns of other types."""
         missing = sorted(KEYS - self._stored)
         if missing:
-            raise lacking(self._path, missing)
+            raise missing_columns_error(self._path, missing)
         for name in STEP_COLUMNS.keys() & self._stored:
-            if not _fits(schema.field(name).type, name):
-                raise of_another_type(self._path, f"{name}: {schema.field(name).type}")
+            if not _is_compatible(schema.field(name).type, name):
+                raise wrong_type_error(self._path, f"{name}: {schema.field(name).type}")
 
     @cached_property
-    def _places(self) -> list[dict[str, tuple[int, int]]]:
+    def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
         """Of each row group the first row of each run, and the row behind its last."""
         with readable(self._path), pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file:
             groups = [
@@ -174,13 +147,13 @@ class StepsOnDisk(StepTable):
 
     @cached_property
     def _group_of(self) -> dict[str, int]:
-        return {name: group for group, places in enumerate(self._places) for name in places}
+        return {name: group for group, places in enumerate(self._run_rows) for name in places}
 
     def _group(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
         return _as_frame(self._table(group, columns), columns)
 
     def _table(self, group: int, columns: Sequence[str]) -> pa.Table:
-        """Some columns of a row group, and `run_id`; those that are in no file as missing."""
+        """Return columns of a row group with `run_id`, absent ones as missing."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]
@@ -191,13 +164,16 @@ class StepsOnDisk(StepTable):
         return table.select(asked)
 
 
+StepTable = StepsInMemory | StepsOnDisk
+"""The rows of `steps.parquet`, those of a run behind each other."""
+
+
 def scan_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> Iterator[pa.Table]:
-    """The steps of a result folder, some hundred thousand rows of whole runs at a time.
+    """Yield the steps of a result folder, some hundred thousand rows of whole runs at a time.
 
-    Memory is that of one such table, whatever the number of runs; with `run_ids`, what holds none
-    of them is not read.
+    Memory is that of one such table, whatever the number of runs.
 
     Parameters
     ----------
@@ -206,7 +182,7 @@ def scan_steps(
 
     Raises
     ------
-    ResultsError : naming the file, when one is missing or damaged, or has no such column.
+    ResultsError : naming the file, when it is missing or damaged, or has no such column.
     """
     yield from StepsOnDisk(Path(out)).tables(columns, run_ids)
 
@@ -214,7 +190,7 @@ def scan_steps(
 def read_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> pa.Table:
-    """As `scan_steps`, in one table."""
+    """Return the steps of a result folder in one table, as `scan_steps` yields them."""
     tables = list(scan_steps(out, columns, run_ids))
     if tables:
         return pa.concat_tables(tables).unify_dictionaries()
@@ -223,7 +199,7 @@ def read_steps(
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """What goes wrong as a table is read, as `ResultsError`."""
+    """Raise errors of reading a table as `ResultsError`."""
     try:
         yield
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
@@ -234,36 +210,29 @@ def readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-def lacking(path: Path, columns: Sequence[str]) -> ResultsError:
-    """That a table has not some columns."""
+def missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
+    """Return the error of a table without some columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
 
 
-def of_another_type(path: Path, which: str) -> ResultsError:
-    """That a table has other things in a column."""
+def wrong_type_error(path: Path, which: str) -> ResultsError:
+    """Return the error of a column of another type."""
     return ResultsError(
         str(path), "", f"a column of another type ({which})", "the types of schema.py"
     )
 
 
 def places_of(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
-    """Of labels (N,) that are ordered: the first place of each, and the one after its last."""
+    """Return the first place of each of ordered labels (N,), and the one after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
 
 
-def _chosen(columns: Sequence[str]) -> Columns:
-    return {name: STEP_COLUMNS[name] for name in columns}
-
-
 def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
-    """Some columns of a table with the types of the schema; the few words stay a word each."""
-    whole = {pa.int64(): pd.Int64Dtype()}
-    # What pandas noted of the types is not followed, as others may have written it.
-    some = table.select(list(columns)).replace_schema_metadata(None)
-    frame: pd.DataFrame = some.to_pandas(types_mapper=whole.get, use_threads=False)
+    """Return columns of a table with the types of the schema, strings as categories."""
+    frame = plain_frame(table.select(list(columns)))
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns
@@ -272,9 +241,8 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     return frame.astype({n: t for n, t in types.items() if frame[n].dtype != t})
 
 
-def _fits(stored: pa.DataType, name: str) -> bool:
-    """Whether a stored type can be that of a column; whole numbers of which some are missing may
-    have become others in a program that has no such type."""
+def _is_compatible(stored: pa.DataType, name: str) -> bool:
+    """Return whether a stored type suits a column; other programs store integers as floats."""
     number = (pa.types.is_integer, pa.types.is_floating)
     kinds = {
         "str": (pa.types.is_string, pa.types.is_large_string, pa.types.is_dictionary),

@@ -1,4 +1,8 @@
-"""The result folder: parquet tables, machine and suite descriptions, and the cells behind them."""
+"""The result folder: checked tables, types of `machine.json` and `suite.json`, and its locks.
+
+All keys of these files but the required ones may be missing, and unknown ones may be present:
+releases differ.
+"""
 
 from __future__ import annotations
 
@@ -7,31 +11,165 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Required, TypeVar, get_args
 
 import pandas as pd
+import pyarrow as pa
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
-from dpbench.bench.record.descriptions import MachineDescription, SuiteDescription, validated
+from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
     StepTable,
-    lacking,
-    of_another_type,
+    missing_columns_error,
     readable,
+    wrong_type_error,
 )
-from dpbench.bench.record.run_checks import check_runs
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import PREFIX, SCHEMA_VERSION, as_steps
+from dpbench.bench.record.step_table import complete_runs, frame_of_runs
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import in_full, opened_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
 from dpbench.locks import Patience, holders, lock_folder
+from dpbench.solvers.contract import Policy, Route
+
+_Kind = TypeVar("_Kind")
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+_OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+
+
+class ComparedMachine(TypedDict, total=False):
+    """Properties that make times of two machines comparable."""
+
+    cpu_model: str
+    cores: int
+    memory_GiB: int
+    kernel: str
+    python: str
+    versions: dict[str, str]
+
+
+@with_config(_OPEN)
+class MachineDescription(ComparedMachine, total=False):
+    """`machine.json`; `others` are machines whose cells were gathered too."""
+
+    id: Required[str]
+    governor: str
+    frequency_MHz: float | str
+    blas: list[str] | None
+    throttle_counters: str
+    affinity: list[int] | None
+    clock_read_ns: float
+    timer_resolution_ns: float
+    load_average: list[float]
+    others: list[MachineDescription]
+
+
+class _Requirements(TypedDict, total=False):
+    error_move: float
+    failed_steps: int
+    p99_ms: float
+    deadline_ms: float
+
+
+class _Report(TypedDict, total=False):
+    baseline: str | None
+    step: int | None
+    configuration: str | None
+
+
+class StudyDescription(TypedDict, total=False):
+    """A `[[study]]` of `suite.json`."""
+
+    base: Required[str]
+    name: str | None
+    radius_m: float
+
+
+class RevisionDescription(TypedDict):
+    """A revision of dpbench."""
+
+    commit: str
+    clean: bool
+
+
+@with_config(_OPEN)
+class SuiteDescription(TypedDict, total=False):
+    """`suite.json`."""
+
+    name: str
+    title: str
+    harness_version: str
+    started_utc: str
+    run_rows: Required[int]
+    step_rows: Required[int]
+    lost_cells: int
+    lost_designs: int
+    remarks: list[str]
+    revisions: list[RevisionDescription]
+    requirements: _Requirements
+    demand: _Requirements  # key of earlier releases
+    report: _Report
+    study: list[StudyDescription]
+
+
+def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
+    """Return the document of a file as a type; ResultsError, naming the key, for other types."""
+    try:
+        # As JSON: a list is a tuple there, and a whole number a float.
+        checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
+        return checked
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
+        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
+        raise ResultsError(str(path), key, value, allowed) from error
+
+
+_WORDS = {
+    "mode": ("closed_loop", "replay"),
+    "route": get_args(Route),
+    "policy": get_args(Policy),
+    "units": get_args(Units),
+    "formulation": FORMULATIONS,
+    "outcome": OUTCOMES,
+}
+"""All words of a column."""
+_LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, "replay_s": 1e-9}
+"""The least number of a column, where it is not missing."""
+
+
+def check_runs(runs: pd.DataFrame, path: Path) -> None:
+    """Refuse rows that no campaign writes; ResultsError, naming the column and the row from 0."""
+    for column, is_bad, allowed in _rules(runs):
+        if is_bad.any():
+            row = int(is_bad.to_numpy().argmax())
+            value = runs[column].iloc[row]
+            found = "nothing" if pd.isna(value) else str(value)[:80]
+            raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
+
+
+def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+    """Yield column, rows that break its rule, and the rule."""
+    for column, words in _WORDS.items():
+        yield column, ~runs[column].isin(words), " | ".join(words)
+    for column, least in _LEAST.items():
+        yield column, (runs[column] < least).fillna(False), f"{least:g} or more"
+    finished = (runs["mode"] == "replay") & (runs["outcome"] == "finished")
+    yield "rounds", finished & (runs["rounds"] == 0).fillna(False), "1 or more, as it finished"
+    yield "N_p", runs["N_p"].isna() & runs["N_c"].notna(), "a horizon, as N_c is one"
+    of_study = runs["study"] != ""
+    for column in ("study_point", "replicate"):
+        yield column, of_study & runs[column].isna(), "a number, as the run is of a study"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +178,7 @@ class Results:
 
     Parameters
     ----------
-    runs : the rows of `runs.parquet`; recorded : those of `steps.parquet`, asked for by run and
-        column.
+    runs : rows of `runs.parquet`; recorded : those of `steps.parquet`, by run and column.
     machine, suite : `machine.json` and `suite.json`.
     """
 
@@ -52,7 +189,7 @@ class Results:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps in memory, some 500 bytes each; of large folders ask `recorded`."""
+        """All steps in memory, some 500 bytes each; use `recorded` for large folders."""
         return self.recorded.frame()
 
 
@@ -62,14 +199,14 @@ def claimed(
     suite: str,
     patience: Patience = Patience(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
-    """Hold a result folder for one campaign of `suite`, making it if need be.
+    """Lock a result folder for one campaign of `suite`, and make it where it is missing.
 
     A report that is being written there is waited for with `patience`.
 
     Raises
     ------
-    InputError : when it cannot be written, holds other things or the results of another suite, its
-        folder of cells is a link, or another campaign is running in it. Nothing is changed then.
+    InputError : it cannot be written, has other files or the results of another suite, its folder
+        of cells is a link, or another campaign uses it. Nothing is changed then.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -84,7 +221,8 @@ def claimed(
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _lock_file(make_folder(folder / "cells") / ".lock")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(make_folder(folder / "cells") / ".lock", flags, 0o666)
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
@@ -99,16 +237,11 @@ def claimed(
             yield
 
 
-def _lock_file(path: Path) -> int:
-    """Open a file that is locked, and never written."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-
-
 @contextmanager
 def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
-    """Hold a folder for a campaign or a report that writes into it, once no other does.
+    """Lock a folder against other campaigns and reports; a wait is reported on stderr.
 
-    A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+    A missing folder, or one on a disk without locks, is not locked.
 
     Raises
     ------
@@ -129,8 +262,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
 
 
 def accidents(out: Path) -> tuple[int, list[str]]:
-    """How many cells and designs of a result folder the benchmark lost itself, and what is to be
-    said of it.
+    """Return the number of lost cells and designs of a result folder, and its remarks.
 
     Raises
     ------
@@ -142,12 +274,12 @@ def accidents(out: Path) -> tuple[int, list[str]]:
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read a result folder: its runs, and of its steps what is asked for later.
+    """Read the runs of a result folder; its steps are read on request.
 
     Parameters
     ----------
-    without_steps : a folder that has no `steps.parquet`, as one that was sent to others, will do;
-        its table of steps is empty.
+    without_steps : accept a folder without `steps.parquet`, as one that was sent to others; its
+        table of steps is empty.
 
     Raises
     ------
@@ -169,14 +301,13 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 
 
 def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
-    """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
-    damaged."""
+    """Return `machine.json` and `suite.json`; ResultsError, naming the file, for damage."""
     path = folder / "machine.json"
     return validated(read_json(path), MachineDescription, path), read_suite(folder)
 
 
 def read_suite(folder: Path) -> SuiteDescription:
-    """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
+    """Return `suite.json`; ResultsError, naming file and key, where it is damaged."""
     path = folder / "suite.json"
     return validated(read_json(path), SuiteDescription, path)
 
@@ -185,42 +316,37 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
     with readable(path), opened_table(path, error=ResultsError) as file:
         table = in_full(file.read(), path, error=ResultsError)
-        # What pandas noted of the types is not followed: those of the schema are asked for below.
-        frame = table.replace_schema_metadata(None).to_pandas(use_threads=False)
-    if missing := sorted({"run_id", "schema"} - set(frame.columns)):
-        raise lacking(path, missing)
-    others = sorted(set(frame["schema"].unique().tolist()) - {SCHEMA_VERSION})
+    if missing := sorted({"run_id", "schema"} - set(table.column_names)):
+        raise missing_columns_error(path, missing)
+    others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
-        # Said before its columns are looked at: those of another schema are others.
+        # Before its columns are read: another schema has others.
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = as_runs(frame)
-    except (ValueError, TypeError) as error:
-        raise of_another_type(path, str(error)[:80]) from error
+        runs = frame_of_runs(complete_runs(table)).reset_index(drop=True)
+        keys = [name for name in table.column_names if name.startswith(PREFIX)]
+        runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
+    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
+        raise wrong_type_error(path, str(error)[:80]) from error
     check_runs(runs, path)
-    _check_solvers(path, runs)
-    return runs
-
-
-def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
-    """ResultsError for a solver by whose name no file can be called, as `report --for` does."""
+    # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
         if not is_file_name(str(name)):
             raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
+    return runs
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; ResultsError, naming the file, where there is none."""
+    """Return the JSON object of a file; ResultsError, naming the file, where there is none."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of those files of a folder that are there, by name."""
-    return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
-
-
-def _sha256(path: Path) -> str:
-    """Of a file that may be larger than the memory there is."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Return the SHA-256 of those files of a folder that exist, by name."""
+    found = {}
+    for name in names:
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found

@@ -386,7 +386,7 @@ _PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
 def _missing(dtype: DType, rows: int) -> Any:
-    """A column of that type without a value in any row."""
+    """Return a column of that type without a value in any row."""
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
     return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
 
@@ -410,25 +410,22 @@ def _of_type(column: pd.Series[Any], dtype: DType) -> Any:
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with exactly the columns and types of `steps.parquet`; absent ones are missing."""
+    """Return `frame` with the columns and types of `steps.parquet`; absent ones are missing."""
     return as_columns(frame, STEP_COLUMNS)
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with exactly the columns and types of `runs.parquet`; absent ones are missing.
-
-    The keys of studies, columns x_<key>, stay as they are behind them.
-    """
+    """Return `frame` with the columns and types of `runs.parquet`, then its columns x_<key>."""
     runs = as_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
 def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
-    """The columns of a study, of runs (N) with a column `cell`; none where no run is of one.
+    """Return the study columns of runs (N) with a column `cell`; none without a study.
 
-    `study`, `study_point` and `replicate` as in the schema; an `x_<key>` for each key, a number
-    where all its values are numbers and text else, missing in runs of other studies.
+    They are `study`, `study_point` and `replicate`, and an `x_<key>` for each key, a number where
+    all its values are numbers and text else, missing in runs of other studies.
     """
     cells = runs["cell"].astype(str)
     of_study = cells.str.contains('"study": {', regex=False)
@@ -449,5 +446,5 @@ def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    """What a cell of a table can hold: a list as text."""
+    """Return a value for a cell of a table: a list as text."""
     return json.dumps(value) if isinstance(value, list) else value

@@ -1,18 +1,23 @@
 """Runs and steps as Arrow, with the columns and types of the two tables, and how they are written.
 
-A table of steps is of whole runs, each in one piece and in the order of its steps. In a file no run
-lies in two row groups, so that each of these can be read by itself.
+A table of steps is of whole runs, each in one piece and in the order of its steps. No run of a file
+is in two row groups, so each row group can be read by itself. A part is the cells of a batch: a
+Parquet file with the steps in one row group, and the columns of `runs.parquet` as JSON in its
+metadata.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -26,7 +31,7 @@ from dpbench.bench.record.schema import (
 )
 from dpbench.files.writing import new_file, put
 
-ARROW: dict[DType, pa.DataType] = {
+_ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),
     "bool": pa.bool_(),
     "int32": pa.int32(),
@@ -34,35 +39,35 @@ ARROW: dict[DType, pa.DataType] = {
     "Int64": pa.int64(),
     "float64": pa.float64(),
 }
-CODED_STRING = pa.dictionary(pa.int32(), pa.string())
-"""The type of strings in memory: each is stored once for all its rows."""
+_CODED_STRING = pa.dictionary(pa.int32(), pa.string())
 STRING_COLUMNS = [name for name, (dtype, _) in STEP_COLUMNS.items() if dtype == "str"]
-"""The columns of strings: the same few over and over."""
-STEPS_SCHEMA = pa.schema([(n, ARROW[t]) for n, (t, _) in STEP_COLUMNS.items() if n != "run_id"])
-"""Steps of one run, which has its name elsewhere."""
+"""Columns of strings, stored in memory as dictionaries."""
+STEPS_SCHEMA = pa.schema([(n, _ARROW[t]) for n, (t, _) in STEP_COLUMNS.items() if n != "run_id"])
+"""Steps of one run, without its name."""
 FILE_SCHEMA = pa.schema(
-    [(n, CODED_STRING if t == "str" else ARROW[t]) for n, (t, _) in STEP_COLUMNS.items()]
+    [(n, _CODED_STRING if t == "str" else _ARROW[t]) for n, (t, _) in STEP_COLUMNS.items()]
 )
-RUNS_SCHEMA = pa.schema([(name, ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
-_SPLIT = [name for name, (dtype, _) in STEP_COLUMNS.items() if dtype not in ("str", "bool")]
-"""The columns of numbers: they are split into planes of bytes, so that the even ones among them
-compress."""
+RUNS_SCHEMA = pa.schema([(name, _ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
+NO_RUNS = RUNS_SCHEMA.empty_table()
+_NUMBER_COLUMNS = [n for n, (dtype, _) in STEP_COLUMNS.items() if dtype not in ("str", "bool")]
+"""Columns split into planes of bytes, so that regular numbers compress."""
 _FILLERS: dict[DType, object] = {"str": "", "bool": False, "int32": 0, "int64": 0}
-"""What stands for a missing value in columns that have no null."""
+"""Values in place of missing ones in columns without null."""
+_WHOLE_NUMBERS = [n for n, (dtype, _) in RUN_COLUMNS.items() if dtype in ("int32", "int64")]
 
 
 def absent_column(dtype: DType, rows: int) -> pa.Array:
     """Return a column of that type without a value in any row."""
-    return pa.repeat(pa.scalar(_FILLERS.get(dtype), ARROW[dtype]), rows)
+    return pa.repeat(pa.scalar(_FILLERS.get(dtype), _ARROW[dtype]), rows)
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     """Return the columns of `runs.parquet` that some of the rows have."""
-    there = {name for row in rows for name in row}
+    names = {name for row in rows for name in row}
     return {
         name: [row.get(name, _FILLERS.get(dtype)) for row in rows]
         for name, (dtype, _) in RUN_COLUMNS.items()
-        if name in there
+        if name in names
     }
 
 
@@ -73,23 +78,28 @@ def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
     ------
     ValueError, TypeError, OverflowError : a value is of another type than its column.
     """
-    rows = len(columns["run_id"])
-    arrays = [
-        pa.array(columns[name], ARROW[dtype], from_pandas=True)
-        if name in columns
-        else absent_column(dtype, rows)
+    arrays = {
+        name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
         for name, (dtype, _) in RUN_COLUMNS.items()
+        if name in columns
+    }
+    return _check_whole_numbers(_complete_columns(arrays, len(columns["run_id"]), RUN_COLUMNS))
+
+
+def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
+    """Return all `columns` as a table; absent ones are missing."""
+    absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
+    full = [
+        arrays[name] if name in arrays else absent[dtype] for name, (dtype, _) in columns.items()
     ]
-    return _without_gaps(pa.Table.from_arrays(arrays, schema=RUNS_SCHEMA))
+    return pa.Table.from_arrays(full, list(columns))
 
 
-def _without_gaps(runs: pa.Table) -> pa.Table:
+def _check_whole_numbers(runs: pa.Table) -> pa.Table:
     """Return a table of `RUNS_SCHEMA`; ValueError where a number is missing that no run lacks."""
-    gaps = [
-        n for n, (t, _) in RUN_COLUMNS.items() if t in ("int32", "int64") and runs[n].null_count
-    ]
-    if gaps:
-        raise ValueError(f"{gaps[0]}: no number")
+    for name in _WHOLE_NUMBERS:
+        if runs[name].null_count:
+            raise ValueError(f"{name}: no number")
     return runs
 
 
@@ -98,8 +108,8 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
 
     Parameters
     ----------
-    steps : (N,) arrays by the names of `STEP_COLUMNS`; whole numbers that are missing are
-        `ABSENT`, and a column that is not there has no value in any row.
+    steps : (N,) arrays by the names of `STEP_COLUMNS`; missing whole numbers are `ABSENT`, and an
+        absent column has no value in any row.
     """
     rows = len(steps["k"])
     arrays = [_array(name, steps, rows) for name in STEPS_SCHEMA.names]
@@ -107,10 +117,8 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
 
 
 def no_steps() -> pa.RecordBatch:
-    """Return those of a run that left none."""
-    return pa.RecordBatch.from_arrays(
-        [pa.array([], field.type) for field in STEPS_SCHEMA], schema=STEPS_SCHEMA
-    )
+    """Return the steps of a run that left none."""
+    return step_batch({"k": np.zeros(0, np.int32)})
 
 
 def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
@@ -121,7 +129,7 @@ def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
     if dtype == "Int64":
         return pa.array(values, pa.int64(), mask=values == ABSENT)
     if dtype != "float64":
-        return pa.array(values, ARROW[dtype])
+        return pa.array(values, _ARROW[dtype])
     numbers = np.ascontiguousarray(values, dtype=np.float64)
     return pa.array(numbers, mask=np.isnan(numbers))
 
@@ -139,20 +147,19 @@ def concat_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
 
 
 def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return whole runs, of `FILE_SCHEMA`, as a Parquet file of one row group, in which each page
-    has its check sum."""
+    """Return whole runs (`FILE_SCHEMA`) as a Parquet file of one row group with page checksums."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
         sink,
         FILE_SCHEMA.with_metadata(metadata),
         compression="zstd",
         use_dictionary=STRING_COLUMNS,
-        column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
+        column_encoding=dict.fromkeys(_NUMBER_COLUMNS, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
-        # Of names that are hashes, and of numbers in no order, they help nobody to skip.
+        # Statistics of hashes and of unordered numbers let no reader skip anything.
         write_statistics=False,
-        # A table reads as what its columns are, in whatever program, not as what they were here;
-        # only with its schema are metadata written.
+        # Without Arrow's schema a table reads as its plain column types in any program; only with
+        # it are metadata written.
         store_schema=metadata is not None,
     ) as writer:
         if table.num_rows:
@@ -162,26 +169,23 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
     return data
 
 
-def stored_steps(table: pa.Table) -> pa.Table:
-    """Return the columns of `FILE_SCHEMA` of a table of steps, those that are absent as missing;
-    ValueError, or one of Arrow, where they are of other types."""
-    return _completed(table, STEP_COLUMNS).cast(FILE_SCHEMA)
+def complete_steps(table: pa.Table) -> pa.Table:
+    """Return a table of steps with the columns of `FILE_SCHEMA`; absent ones are missing.
+
+    Raises
+    ------
+    ValueError, ArrowException : a column is of another type.
+    """
+    return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
-def _completed(table: pa.Table, columns: Columns) -> pa.Table:
-    for name in columns.keys() - set(table.column_names):
-        table = table.append_column(name, absent_column(columns[name][0], len(table)))
-    return table.select(list(columns))
+def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
+    arrays = {name: table[name] for name in table.column_names if name in columns}
+    return _complete_columns(arrays, len(table), columns).cast(schema)
 
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
-    """Write rows of `runs.parquet`, with the keys of studies behind its columns, whole or not at
-    all.
-
-    Parameters
-    ----------
-    metadata : stored beside them in the file.
-    """
+    """Write rows of `runs.parquet` with study keys and `metadata`, whole or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         table = runs.replace_schema_metadata(dict(metadata))
@@ -191,24 +195,41 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
         part.unlink(missing_ok=True)
 
 
-def runs_of_frame(frame: pd.DataFrame) -> pa.Table:
-    """Return a frame of runs as a table of `RUNS_SCHEMA`, with the keys of studies behind it."""
+def table_of_runs(frame: pd.DataFrame) -> pa.Table:
+    """Return a frame of runs as a table of `RUNS_SCHEMA`, followed by its study keys."""
     runs = as_runs(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
     schema = pa.schema([*RUNS_SCHEMA, *keys])
     return pa.Table.from_pandas(runs, schema, preserve_index=False)
 
 
-def stored_runs(table: pa.Table) -> pa.Table:
-    """Return the columns of `RUNS_SCHEMA` of a table of runs, those that are absent as missing;
-    ValueError, or one of Arrow, where they are of other types."""
-    return _without_gaps(_completed(table, RUN_COLUMNS).cast(RUNS_SCHEMA))
+def complete_runs(table: pa.Table) -> pa.Table:
+    """Return a table of runs with the columns of `RUNS_SCHEMA`; absent ones are missing.
+
+    Raises
+    ------
+    ValueError, ArrowException : a column is of another type, or lacks a number that no run lacks.
+    """
+    return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
+
+
+def plain_frame(table: pa.Table) -> pd.DataFrame:
+    """Return a table as a frame with nullable whole numbers, whatever pandas noted in it."""
+    whole = {pa.int64(): pd.Int64Dtype()}
+    frame: pd.DataFrame = table.replace_schema_metadata(None).to_pandas(
+        types_mapper=whole.get, use_threads=False
+    )
+    return frame
 
 
 def frame_of_runs(table: pa.Table) -> pd.DataFrame:
     """Return a table of `RUNS_SCHEMA` as a frame, by run_id."""
-    whole = {pa.int64(): pd.Int64Dtype()}
-    runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get, use_threads=False))
+    for at, (name, (dtype, _)) in enumerate(RUN_COLUMNS.items()):
+        if dtype == "bool" and table[name].null_count:
+            table = table.set_column(at, name, pc.fill_null(table[name], False))
+    runs = plain_frame(table)
+    for name in _WHOLE_NUMBERS:
+        runs[name] = runs[name].astype("int64")
     return runs.set_index("run_id", drop=False)
 
 
@@ -217,7 +238,7 @@ def filter_runs(table: pa.Table, names: Container[str]) -> pa.Table:
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
     if not wanted.any():
-        # A slice would hold on to all of the table.
+        # A slice would keep the whole table in memory.
         return table.schema.empty_table()
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
@@ -227,5 +248,64 @@ def rename_runs(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
     some = filter_runs(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())
-    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(CODED_STRING)
+    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(_CODED_STRING)
     return some.set_column(0, "run_id", renamed)
+
+
+Row = dict[str, Any]
+"""A row of `runs.parquet`, by column."""
+RUNS = "runs"
+"""Where the metadata of a part have the columns of its runs."""
+DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
+"""What reading a damaged record or table raises."""
+
+
+def _json_value(value: object) -> object:
+    """Return a number of NumPy, or a missing one, as JSON has it."""
+    if value is pd.NA:
+        return None
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} in a row")
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPart:
+    """The finished cells of a batch: the outcome of each by run_id, and the bytes of the part."""
+
+    outcomes: Mapping[str, str]
+    data: bytes
+
+
+def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
+    """Return a part of cells, each a row and steps, by run_id."""
+    steps = concat_runs({name: batch for name, (_, batch) in cells.items()})
+    return part_of(columns_of([row for row, _ in cells.values()]), steps)
+
+
+def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
+    """Return a part of the columns of runs and of all their steps (`FILE_SCHEMA`)."""
+    outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
+    return BatchPart(
+        outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
+    )
+
+
+def read_part(data: bytes) -> BatchPart:
+    """Return the part in the bytes of a file; one of `DAMAGE` where there is none."""
+    columns = runs_in(pq.read_metadata(pa.BufferReader(data)).metadata)
+    return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
+
+
+def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+    """Return the columns of runs in the metadata of a part; one of `DAMAGE` without any."""
+    try:
+        columns = json.loads((metadata or {})[RUNS.encode()])
+    except RecursionError as error:
+        raise ValueError("runs that are nested too deep") from error
+    values = columns.values() if isinstance(columns, dict) else []
+    sizes = {len(column) if isinstance(column, list) else -1 for column in values}
+    if len(sizes) != 1 or -1 in sizes or "run_id" not in columns:
+        raise ValueError("no columns of runs")
+    found: dict[str, list[Any]] = columns
+    return found

@@ -12,8 +12,16 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from dpbench.bench.record import qp_source
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import (
+    CapabilitySource,
+    Cell,
+    ConsequenceSource,
+    ControllerSource,
+    HardestSource,
+    QPSource,
+    RandomSource,
+    RecordedSource,
+)
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
@@ -111,7 +119,7 @@ class _Loop:
 class _Consequence(_Loop):
     """The loss of a failure group, at each sample of that loop."""
 
-    source: qp_source.ConsequenceSource
+    source: ConsequenceSource
 
     def load(self, path: Path) -> Replayed:
         cell, scenario = self.cell, scenario_once(self.cell.scenario)
@@ -151,7 +159,7 @@ class _Stored:
 class _Random(_Stored):
     """A random sequence, certified once, as some optima take a second each."""
 
-    source: qp_source.RandomSource
+    source: RandomSource
 
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.source.recipe)
@@ -162,7 +170,7 @@ class _Random(_Stored):
 class _Capability(_Stored):
     """The QPs at the capability boundary, with the plot in the same file."""
 
-    source: qp_source.CapabilitySource
+    source: CapabilitySource
 
     def make(self, path: Path) -> None:
         source = self.source
@@ -174,7 +182,7 @@ class _Capability(_Stored):
 class _Recorded(_Stored):
     """A sequence from a file of others, whose optima are certified again."""
 
-    source: qp_source.RecordedSource
+    source: RecordedSource
 
     def make(self, path: Path) -> None:
         origin = sequence_path(self.source.path)
@@ -198,15 +206,15 @@ QPs of the cell, `check` reads all of it (ResultsError or InputError where it is
 def source_file(cell: Cell) -> SourceFile:
     """Return the file behind a cell's QPs."""
     match cell.source:
-        case qp_source.ControllerSource() | qp_source.HardestSource():
+        case ControllerSource() | qp_source.HardestSource():
             return _Loop(cell)
-        case qp_source.ConsequenceSource() as source:
+        case ConsequenceSource() as source:
             return _Consequence(cell, source)
-        case qp_source.RandomSource() as source:
+        case RandomSource() as source:
             return _Random(source)
-        case qp_source.CapabilitySource() as source:
+        case CapabilitySource() as source:
             return _Capability(source)
-        case qp_source.RecordedSource() as source:
+        case RecordedSource() as source:
             return _Recorded(source)
-        case qp_source.QPSource() as source:
+        case QPSource() as source:
             raise TypeError(f"no file is made of {source}")

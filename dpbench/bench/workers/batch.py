@@ -1,15 +1,14 @@
-"""Cells of one configuration one after the other in one process, then judged one after the other.
+"""Cells of one configuration in one process, one after the other, then judged likewise.
 
-Importing a library takes up to most of a second, and so it is for a batch where its cells take some
-milliseconds each. Nothing of a batch is compared by its times: only replays are (`interleaved.py`).
-A cell that crashes costs only itself, and one that hangs the step it hung in where it can go on
-behind that; it, and those after it, go on in a new process.
+Importing a library takes up to most of a second, cells of a batch some milliseconds each. Their
+times are not compared: only replays are (`interleaved.py`). A cell that crashes costs only itself,
+and one that hangs only that step where it can go on behind it; the rest go on in a new process.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.context import ForkServerContext
@@ -18,35 +17,34 @@ from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import discard
+from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
 from dpbench.bench.workers.shared_status import Phase, set_phase
-from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
+from dpbench.bench.workers.worker import BatchCell, evaluate_batch, find_hang, run_batch
 
 EVALUATION_LIMIT_S = 600.0
 
 
 class Item(Protocol):
-    """What a process has several of to do, one after the other."""
+    """One of several things that a process does in turn."""
 
     @property
     def name(self) -> str:
-        """Under which its verdict appears."""
+        """Name of its verdict."""
 
     @property
     def limit_s(self) -> float | None:
-        """What it may take; None for any time."""
+        """Its longest run time; None for no limit."""
 
 
 AnyItem = TypeVar("AnyItem", bound=Item)
 
 
-class _Run(Child, Generic[AnyItem]):
+class _ItemProcess(Child, Generic[AnyItem]):
     """One process that goes through items in order, each with a verdict of its own.
 
-    Parameters
-    ----------
-    alone : whether nothing else runs beside it.
+    `alone` tells whether nothing else runs beside it.
     """
 
     def __init__(
@@ -61,7 +59,7 @@ class _Run(Child, Generic[AnyItem]):
         logs: bool = True,
         alone: bool = False,
     ) -> None:
-        self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        self.items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
@@ -72,36 +70,36 @@ class _Run(Child, Generic[AnyItem]):
         self.alone = alone
 
     def _advance(self) -> None:
-        """Watch the first item that has no verdict yet."""
-        while self._at < len(self._items) and self._verdict.exists():
+        """Watch the first item without a verdict."""
+        while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
-            if self._at < len(self._items):
-                self.name = self._items[self._at].name
-                self._limit_s = self._items[self._at].limit_s
+            if self._at < len(self.items):
+                self.name = self.items[self._at].name
+                self._limit_s = self.items[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
                 self._running_since = None if self._logs else self._born
 
     def overdue(self) -> bool:
         self._advance()
-        if self._at < len(self._items):
+        if self._at < len(self.items):
             return super().overdue()
         # Behind its last verdict it has nothing to do but to end.
         return time.monotonic() - self._born > GRACE_S and self.kill("")
 
     def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
-        """Once the process ended: what became of the items it came to, and those still to do."""
+        """Return, of a process that ended, the outcomes of its items and those still to do."""
         self.join()
         self._advance()
         outcomes = {}
-        for item in self._items[: self._at]:
+        for item in self.items[: self._at]:
             outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
         not_begun = self._at > 0 and self.notice.place < self._at
-        if not_begun or self.is_suspect or self._at == len(self._items):
-            return outcomes, self._items[self._at :]
+        if not_begun or self.is_suspect or self._at == len(self.items):
+            return outcomes, self.items[self._at :]
         outcomes[self.name] = self.outcome()
-        return outcomes, self._items[self._at + 1 :]
+        return outcomes, self.items[self._at + 1 :]
 
 
 class CellRun:
@@ -109,13 +107,12 @@ class CellRun:
 
     Parameters
     ----------
-    cells : what the worker needs of each cell, in order.
-    to_run : whether they are to be run; where not, they were before, and left steps.
+    to_run : whether the cells are to be run; otherwise they left steps before.
 
     Attributes
     ----------
-    outcomes : what became of them, without those that were at work or to come when the fork server
-        died; records : of those that left steps what is to be kept.
+    outcomes : outcome of each cell, without those that a dead fork server took along.
+    parts : the cells that left steps, with these.
     """
 
     def __init__(
@@ -130,22 +127,21 @@ class CellRun:
         self.batch, self.folder = batch, folder
         self._context, self._cells, self._to_run = context, list(cells), to_run
         self.outcomes: dict[str, Outcome] = {}
-        self.records: dict[str, bytes] = {}
+        self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
         """Start the first process."""
-        return self._process(self._cells, core)
+        return self._start_process(self._cells, core)
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Record what became of the process that ended; start the next one, None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
+        """Record the outcome of a process; start the next one, or return None at the end."""
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split()
         if self._to_run:
             rest = self._behind_hang(ended) + rest
             self.outcomes |= ended
         else:
-            for name, verdict in ended.items():
-                self._take_record(name, verdict)
+            rest = self._take_part(child.items, ended) + rest
         if child.is_suspect:
             for cell in rest:
                 self.outcomes.pop(cell.name, None)
@@ -155,54 +151,64 @@ class CellRun:
             self._to_run = False
             ran = [cell for cell in self._cells if self._left_steps(cell)]
             rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
-        return self._process(rest, core) if rest else None
+        return self._start_process(rest, core) if rest else None
 
     def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
-        """The cell that was killed as it hung in a step, to go on behind it, and no longer among
-        those that ended; none where there is no such cell."""
+        """Return the cell that was killed in a step, to go on behind it; else none."""
         for i, batch_cell in enumerate(self._cells):
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
                 continue
             raw = self.folder / f"{batch_cell.name}.raw"
-            hang = hang_of(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
+            hang = find_hang(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
             if hang is not None:
                 del ended[batch_cell.name]
                 self._cells[i] = replace(batch_cell, hung=(*batch_cell.hung, hang))
                 return [self._cells[i]]
         return []
 
-    def _take_record(self, name: str, verdict: Outcome) -> None:
-        """Take what the referee left of a cell; without it the cell is lost."""
+    def _take_part(
+        self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
+    ) -> list[BatchCell]:
+        """Take the part of judged cells; return those to judge again, without a part."""
+        lost = {
+            name: f"the referee failed on it: {verdict.detail}"
+            for name, verdict in ended.items()
+            if verdict.outcome != "finished"
+        }
+        judged = [cell for cell in cells if cell.name in ended and cell.name not in lost]
+        path = self.folder / f"{cells[0].name}.judged"
         try:
-            if verdict.outcome == "finished":
-                self.records[name] = (self.folder / f"{name}.judged").read_bytes()
-                return
-            detail = f"the referee failed on it: {verdict.detail}"
-        except OSError as error:
-            detail = f"its record went away before it was kept: {error}"
-        self.outcomes[name] = Outcome("lost", detail)
+            self.parts.append(read_part(path.read_bytes()))
+            judged = []
+        except DAMAGE as error:
+            if len(judged) == len(cells):
+                detail = f"its record went away before it was kept: {error}"
+                lost, judged = {cell.name: detail for cell in cells}, []
+        self.outcomes |= {name: Outcome("lost", detail) for name, detail in lost.items()}
+        return judged
 
     def _left_steps(self, cell: BatchCell) -> bool:
-        """Whether there is something to judge."""
         outcome = self.outcomes.get(cell.name)
         if outcome is None or outcome.outcome == "lost":
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int) -> Child:
+    def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
         """Start a process that runs cells, or judges them when all are run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
         alone = self.batch.isolated
-        return _Run(self._context, target, cells, self.folder, core, verdict=verdict, alone=alone)
+        return _ItemProcess(
+            self._context, target, cells, self.folder, core, verdict=verdict, alone=alone
+        )
 
 
 @dataclass(frozen=True)
 class FileTask:
-    """A file to be made at `path` from its description, within `limit_s`, if that is not None."""
+    """A file to be made at `path` from its description, within `limit_s` if that is not None."""
 
     description: str
     path: Path
@@ -210,7 +216,7 @@ class FileTask:
 
     @property
     def name(self) -> str:
-        """Under which its process leaves its verdict."""
+        """Name of its verdict."""
         return self.path.stem
 
 
@@ -222,12 +228,7 @@ def make_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: 
 
 
 class FileRun:
-    """The files of a batch on their way, several in one process.
-
-    Attributes
-    ----------
-    results : what became of them, as of a `CellRun`.
-    """
+    """The files of a batch on their way, several in one process; `results` as in a `CellRun`."""
 
     def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
         self.batch, self.folder = batch, folder
@@ -237,17 +238,21 @@ class FileRun:
     def start(self, core: int) -> Child:
         """Start the first process."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
-        return self._process([FileTask(text, path, limit_s) for path, text in texts.items()], core)
+        return self._start_process(
+            [FileTask(text, path, limit_s) for path, text in texts.items()], core
+        )
 
     def follow(self, child: Child, core: int) -> Child | None:
-        """Record what became of the process that ended; start the next one, None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
+        """Record the outcome of a process; start the next one, or return None at the end."""
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
             (self.folder / f"{name}.json").unlink(missing_ok=True)
-        return self._process(rest, core) if rest and not child.is_suspect else None
+        return self._start_process(rest, core) if rest and not child.is_suspect else None
 
-    def _process(self, tasks: Sequence[FileTask], core: int) -> Child:
+    def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
         target, alone = partial(make_in_turn, self.batch.target), self.batch.isolated
-        return _Run(self._context, target, tasks, self.folder, core, logs=False, alone=alone)
+        return _ItemProcess(
+            self._context, target, tasks, self.folder, core, logs=False, alone=alone
+        )

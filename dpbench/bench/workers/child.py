@@ -1,4 +1,4 @@
-"""Start a cell's process, watch its limit, and turn whatever becomes of it into an outcome."""
+"""Start a cell's process, watch its limits, and turn its end into an outcome."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import multiprocessing.forkserver
 import multiprocessing.resource_tracker
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import wait
@@ -25,12 +26,48 @@ from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
 from dpbench.bench.run.footprint import peak_bytes_of
 from dpbench.bench.workers import shared_status
-from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
-from dpbench.bench.workers.interrupts import sigint_blocked
+from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
+from dpbench.kernel_cache import cache_folders
+from dpbench.solvers.own.adapters import WITH_KERNELS
 from dpbench.temporary_folders import keep_sockets
+
+LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
+"""Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
+_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.nbi"}
+"""The index in the cache of what each of them compiles last."""
+
+
+def needed(solvers: Iterable[str]) -> list[str]:
+    """Return the modules that cells of these solvers need; `LOOP`, which is the template, last."""
+    return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
+
+
+def missing(modules: Sequence[str]) -> list[str]:
+    """Return the modules that are not in Numba's cache on this machine yet."""
+    folders = cache_folders()
+    return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
+
+
+def compile_in_processes(modules: Sequence[str]) -> None:
+    """Compile each of the modules in a process of its own, side by side.
+
+    The error of one that fails appears where its kernels are needed.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+    try:
+        for module in modules:
+            program = [sys.executable, "-c", f"import {module}"]
+            processes.append(subprocess.Popen(program, stderr=subprocess.DEVNULL))
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
@@ -65,10 +102,10 @@ class NoProcessError(DpbenchError):
 
 
 def template_context(solvers: Iterable[str]) -> ForkServerContext:
-    """The context whose processes are forked from the template (`template.py`), threads pinned.
+    """Return the context of processes forked from the template, with threads pinned.
 
-    The first one of a process decides for which of dpbench's own `solvers` it is made ready; any
-    other loads its kernels when it is opened.
+    Its first call decides which of dpbench's own `solvers` the template has loaded; others load
+    their kernels when opened.
     """
     modules = needed(solvers)
     absent = missing(modules)
@@ -77,13 +114,13 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([KEEPER, *modules])
-    with _template():
+    with _running_template():
         return context
 
 
 @contextmanager
-def _template() -> Iterator[None]:
-    """The template runs, started anew if it died, and processes may be forked in the block."""
+def _running_template() -> Iterator[None]:
+    """Keep the template running, so that processes can be forked in the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -93,7 +130,7 @@ def _template() -> Iterator[None]:
             multiprocessing.resource_tracker.ensure_running()
             keep_sockets()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
-            with sigint_blocked():
+            with block_sigint():
                 multiprocessing.forkserver.ensure_running()
             yield
         finally:
@@ -110,15 +147,14 @@ class Child:
     Parameters
     ----------
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
-        says in `shared_status.py` when its solver is at work. Whoever is at work when it ends
-        without a verdict has ended it.
-    folder, name : where its raw log and verdict appear.
-    limit_s : own run time allowed once its log says it started; None for none.
-    logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
+        sets its phase in `shared_status.py`. An end without a verdict is charged to that phase.
+    folder, name : of its raw log and verdict.
+    limit_s : own run time after the start of its log; None for no limit.
+    logs : whether it leaves a raw log; otherwise its time runs from its start.
 
     Attributes
     ----------
-    forkserver_died : whether its template died before it, so that nobody hears of its end.
+    forkserver_died : whether its template died before it, so that its end is unknown.
     alone : whether it runs while nothing else does, because an earlier template died.
 
     Raises
@@ -150,11 +186,11 @@ class Child:
         self.process: ForkServerProcess = context.Process(
             target=shared_status.run, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process)
+        _start_process(self.process)
         self.notice.handed_over()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set where its log and verdict appear from here on; no old verdict is there."""
+        """Set the paths of its log and verdict, and remove an old verdict."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -163,21 +199,21 @@ class Child:
 
     @property
     def raw_path(self) -> Path:
-        """Its raw log; there is none before it started."""
+        """Its raw log, present once it started."""
         return self.folder / f"{self.name}.raw"
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it wrote what became of it; what it does after that changes nothing."""
+        """Whether it wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may have ended its template, and runs once more to know."""
+        """Whether it may have ended its template, and runs once more to find out."""
         return self.forkserver_died and not self.alone
 
     def overdue(self) -> bool:
-        """Kill the process when a limit has passed; true if it did."""
+        """Kill the process when a limit has passed; return whether it was killed."""
         now = time.monotonic()
         self._peak_bytes = max(self._peak_bytes, self._resident_peak())
         if self._was_stopped(now):
@@ -192,12 +228,11 @@ class Child:
         return False
 
     def _resident_peak(self) -> float:
-        """The peak of its memory so far [B]; 0 where it is gone."""
+        """Return the peak of its memory so far [B]; 0 where it is gone."""
         peak = peak_bytes_of(self.process.pid or 0)
         return peak if peak == peak else 0.0
 
     def _was_stopped(self, now: float) -> bool:
-        """Whether it has been stopped for `STOPPED_S`."""
         if not is_stopped(self.process.pid or 0):
             self._stopped_since = None
         elif self._stopped_since is None:
@@ -218,15 +253,14 @@ class Child:
         self.process.join()
 
     def join(self) -> None:
-        """Wait for its end, and end what it started; one whose template died is ended, as that
-        would have ended it."""
+        """Wait for its end, and end what it started; end it where its template died."""
         self._join_process()
         end_orphans(self.notice.keeper, self.notice.template)
         if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.forkserver_died = _ends(self.notice.template)
+        self.forkserver_died = _has_ended(self.notice.template)
         if self.forkserver_died and self.process.pid is not None:
-            _end(self.process.pid)
+            _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
         try:
@@ -235,7 +269,7 @@ class Child:
             return False
 
     def outcome(self) -> Outcome:
-        """What became of it, once it ended."""
+        """Return its outcome, once it ended."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
         by_itself = self.notice.who is Phase.SOLVER and not self._was_killed
@@ -259,18 +293,17 @@ class Child:
         if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
-            return Outcome("crashed", self._cause(code))
+            return Outcome("crashed", self._describe_end(code))
         if not self.folder.exists():
             return Outcome("lost", f"its scratch folder {self.folder} went away")
-        return Outcome("lost", self._cause(code))
+        return Outcome("lost", self._describe_end(code))
 
     def _memory_ran_out(self) -> bool:
-        """Whether the kernel killed for want of memory while the process ran, or does not tell."""
+        """Return whether the kernel killed for memory meanwhile, or hides that."""
         now = _memory_kills()
         return now is None or now != self._memory_kills
 
-    def _cause(self, code: int) -> str:
-        """Why it ended without a verdict, in words."""
+    def _describe_end(self, code: int) -> str:
         if code < 0:
             return f"killed by {_signal_name(-code)}"
         words = self.notice.words
@@ -282,7 +315,7 @@ class Child:
 
     @staticmethod
     def verdict_of(path: Path) -> Outcome:
-        """What the process wrote about a cell."""
+        """Return the outcome that the process wrote."""
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
@@ -290,9 +323,9 @@ class Child:
 
 
 class ServingChild(Child):
-    """A process that takes orders over a pipe, its target's last argument, until None is sent.
+    """A process that takes orders over a pipe, its target's last argument, until None.
 
-    It may serve several cells in turn: `take_up` begins each but the first, `finish` ends each.
+    It may serve several cells: `take_up` begins each but the first, `finish` ends each.
     """
 
     def __init__(
@@ -310,21 +343,23 @@ class ServingChild(Child):
         far_end.close()
 
     def order(self, order: object) -> None:
-        """Send an order; of a process that died meanwhile `reply` knows."""
+        """Send an order; `reply` notices a process that died meanwhile."""
         with suppress(OSError):
             self._orders.send(order)
 
     def ready(self) -> object:
-        """Its first word, for which it has the time to start; None as for `reply`."""
-        return self._word(START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s")
+        """Return its first word, within the time to start; None as for `reply`."""
+        return self._receive_reply(
+            START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s"
+        )
 
     def reply(self, limit_s: float) -> object:
-        """Its next word; None when it died, refused, or hung and was killed for it."""
-        return self._word(
+        """Return its next word; None when it died, refused, or hung and was killed."""
+        return self._receive_reply(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
 
-    def _word(self, wait_s: float, overdue: str) -> object:
+    def _receive_reply(self, wait_s: float, overdue: str) -> object:
         # What the process started may hold the other end of its pipe open when it ends.
         ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
@@ -336,22 +371,19 @@ class ServingChild(Child):
         return None
 
     def take_up(self, folder: Path, name: str) -> None:
-        """Begin another cell: its log and verdict have another folder and name."""
+        """Begin another cell, with another folder and name of log and verdict."""
         self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
     def finish(self) -> Outcome:
-        """End its cell by None, and return what became of that.
-
-        The process goes on if it lives; one that does not reply in time is killed.
-        """
+        """End its cell by None and return its outcome; kill it without a reply in time."""
         self.order(None)
-        if self._word(GRACE_S, "did not end when asked to") is True:
+        if self._receive_reply(GRACE_S, "did not end when asked to") is True:
             return self.verdict_of(self._verdict)
         return self.outcome()
 
     def dismiss(self) -> Outcome:
-        """Let it end, kill it if it does not, and say what became of it."""
+        """End it, by force if need be, and return its outcome."""
         self.order(None)
         self.process.join(GRACE_S)
         if self.process.is_alive():
@@ -361,14 +393,13 @@ class ServingChild(Child):
         return self.outcome()
 
 
-def _start(process: ForkServerProcess) -> None:
-    """Start a process, again where its template dies meanwhile; NoProcessError if the last of
-    `STARTS` fails."""
+def _start_process(process: ForkServerProcess) -> None:
+    """Start a process, again where its template dies; NoProcessError after `STARTS` attempts."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
-        signal_process(_keeper(), signal.SIGCONT)
+        signal_process(_keeper_pid(), signal.SIGCONT)
         try:
-            with _template(), hidden_main_module():
+            with _running_template(), hidden_main_module():
                 process.start()
             return
         except (OSError, EOFError) as error:
@@ -376,20 +407,20 @@ def _start(process: ForkServerProcess) -> None:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
             # It may have forked the process and not lived to tell: that ends with it.
-            end_below(_keeper())
+            end_below(_keeper_pid())
             # While the old one lives the next attempt gets no other template, and fails as well.
-            if not _ends(_keeper(), END_S):
-                _end(_keeper())
+            if not _has_ended(_keeper_pid(), END_S):
+                _kill_and_wait(_keeper_pid())
 
 
-def _keeper() -> int:
-    """The keeper of the template that runs; 0 for none."""
+def _keeper_pid() -> int:
+    """Return the keeper of the running template; 0 for none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a signal stopped a process (proc(5))."""
+    """Return whether a signal stopped a process (proc(5))."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -397,15 +428,15 @@ def is_stopped(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] == "T"
 
 
-def _end(pid: int) -> None:
+def _kill_and_wait(pid: int) -> None:
     """Kill a process, and wait until it is gone."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    _ends(pid)
+    _has_ended(pid)
 
 
-def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
-    """Whether a process is gone, or will be soon."""
+def _has_ended(pid: int, wait_s: float = _DYING_S) -> bool:
+    """Return whether a process ends within `wait_s`."""
     try:
         process = os.pidfd_open(pid)
     except OSError:
@@ -418,9 +449,10 @@ def _ends(pid: int, wait_s: float = _DYING_S) -> bool:
 
 @contextmanager
 def hidden_main_module() -> Iterator[None]:
-    """Processes started in the block need nothing of the program that started the campaign, and
-    do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
-    of them."""
+    """Hide the main program from processes started in the block.
+
+    They would run it again: without `if __name__ == "__main__"` each would start a campaign.
+    """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -437,7 +469,7 @@ def _signal_name(number: int) -> str:
 
 
 def _memory_kills() -> int | None:
-    """How often the kernel killed a process for want of memory since it started; None if unseen."""
+    """Return the number of processes killed for memory since the start of the kernel."""
     try:
         lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
     except OSError:

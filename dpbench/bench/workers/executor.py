@@ -1,7 +1,7 @@
-"""Run batches in processes of their own on the cores of this machine, and have them judged.
+"""Run batches in processes on the cores of this machine, and have them judged.
 
-In one of two ways: side by side on the cores, closed loops, random sequences and files; and replays
-that are timed, interleaved, one worker at a time.
+Closed loops, random sequences and files run side by side on the cores; timed replays run
+interleaved, one worker at a time.
 """
 
 from __future__ import annotations
@@ -12,28 +12,90 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-
-import pyarrow as pa
+from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.finished_batch import DAMAGE, Row, batch_part, unpacked
 from dpbench.bench.record.raw_log import discard
-from dpbench.bench.record.step_table import no_steps
+from dpbench.bench.record.step_table import BatchPart, batch_part, no_steps
 from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
-from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER
-from dpbench.bench.workers.cores import CorePool, run_on_cores
+from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, work_of
-from dpbench.bench.workers.leases import leased_machine
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, count_steps
+from dpbench.bench.workers.leases import lease_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.locks import ALONE, TOGETHER, Holder, Patience
+
+POLL_S = 0.1
+"""The end of a process is noticed at once; this is for what takes too long."""
+
+
+class Task(Protocol):
+    """A sequence of processes on one core."""
+
+    def start(self, core: int) -> Child:
+        """Start its first process."""
+
+    def follow(self, child: Child, core: int) -> Child | None:
+        """Record the outcome of a process; start the next one, or return None at the end."""
+
+
+AnyTask = TypeVar("AnyTask", bound=Task)
+
+
+class CorePool(Generic[AnyTask]):
+    """Cores that run tasks, each one at a time."""
+
+    def __init__(self, cores: Sequence[int]) -> None:
+        self._free = list(cores)
+        self._waiting = deque[AnyTask]()
+        self._running: list[tuple[AnyTask, Child, int]] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting) + len(self._running)
+
+    def add(self, task: AnyTask) -> None:
+        """Run a task when a core is free."""
+        self._waiting.append(task)
+
+    def completed(self) -> Iterator[AnyTask]:
+        """Wait until a task has ended, if there is any; yield those that have."""
+        ended: list[AnyTask] = []
+        while len(self) and not ended:
+            while self._waiting and self._free:
+                task, core = self._waiting.popleft(), self._free.pop()
+                self._running.append((task, task.start(core), core))
+            wait([child.process.sentinel for _, child, _ in self._running], POLL_S)
+            for entry in list(self._running):
+                task, child, core = entry
+                if child.process.is_alive() and not child.overdue():
+                    continue
+                child.join()
+                self._running.remove(entry)
+                following = task.follow(child, core)
+                if following is None:
+                    self._free.append(core)
+                    ended.append(task)
+                else:
+                    self._running.append((task, following, core))
+        yield from ended
+
+
+def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
+    """Run tasks, each on one core; yield each when it has ended."""
+    pool = CorePool[AnyTask](cores)
+    for task in tasks:
+        pool.add(task)
+    while len(pool):
+        yield from pool.completed()
+
 
 Sources = Mapping[str, Path]
 """The files behind the QPs of a batch, by key."""
@@ -44,8 +106,8 @@ WAITING = (
 
 
 @contextmanager
-def _away_from(core: int) -> Iterator[None]:
-    """Keep this process, whose progress bar redraws itself, off the core that is measured."""
+def _avoid_core(core: int) -> Iterator[None]:
+    """Keep this process, with its progress bar, off the measured core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - {core} or before)
     try:
@@ -55,13 +117,13 @@ def _away_from(core: int) -> Iterator[None]:
 
 
 class CellExecutor(ExitStack):
-    """Runs batches in processes of their own; all of them end with the `with` block.
+    """Runs batches in processes of their own, which end with the `with` block.
 
     Parameters
     ----------
-    cores : those there are; slots : how many processes may work side by side, on as many cores.
+    slots : processes side by side, on as many of the `cores`.
     machine_id : of this machine, for the rows of the cells.
-    modules : where the files of plug-ins lie here, by where they lie for whoever planned the cells.
+    modules : paths of plug-ins on this machine, by their paths where the cells were planned.
     concurrency : of timed replays, see the column of that name.
     work : the result folder, for campaigns that wait for this one.
     patience : with other campaigns on this machine.
@@ -98,16 +160,16 @@ class CellExecutor(ExitStack):
     def submit(self, batch: Batch, sources: Sources) -> None:
         """Take a batch; timed replays only while there is no other."""
         if isinstance(batch, FileBatch):
-            self._start(FileRun(self._context, batch, self._scratch.folder()))
+            self._start_run(FileRun(self._context, batch, self._scratch.folder()))
         elif batch.is_timed:
             self._replays.append((batch, sources))
         else:
             self._submit_cells(batch, sources)
 
     def completed(self) -> Iterator[tuple[Batch, list[Result]]]:
-        """Wait until batches have come to their end; yield them with their results.
+        """Wait until batches have ended; yield them with their results.
 
-        Cells and files that were at work or to come when the fork server died have none.
+        Cells and files that a dead fork server took along have none.
         """
         while self._refused:
             yield self._refused.pop()
@@ -120,21 +182,21 @@ class CellExecutor(ExitStack):
                 self._sharing.close()
             yield run.batch, results
 
-    def _start(self, run: CellRun | FileRun) -> None:
-        """Have a batch run on the next core, while nobody times replays on this machine."""
+    def _start_run(self, run: CellRun | FileRun) -> None:
+        """Run a batch on the next core, while no campaign times replays on this machine."""
         self._idle.close()
         if not len(self._pool):
-            self._sharing.enter_context(self._machine(TOGETHER))
+            self._sharing.enter_context(self._lock_machine(TOGETHER))
         self._pool.add(run)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
-        sizes, lost = self._sizes(batch.jobs, sources)
+        sizes, lost = self._log_sizes(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
         need = sum(sizes.values())
         try:
             folder = self._scratch.folder(need + sum(self._log_bytes.values()), batch.kind)
         except NoRoomError as error:
-            lost += [_lost(job, str(error)) for job in sizes]
+            lost += [_lost_result(job, str(error)) for job in sizes]
             sizes = {}
         if not sizes:
             self._refused.append((batch, lost))
@@ -142,28 +204,25 @@ class CellExecutor(ExitStack):
         cells = [self._batch_cell(job, sources) for job in sizes]
         run = CellRun(self._context, batch, folder, cells)
         self._log_bytes[run], self._lost[run] = need, lost
-        self._start(run)
+        self._start_run(run)
 
     def _results_of(self, run: CellRun) -> list[Result]:
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
-        return self._results(outcomes, run.records, run.folder) + self._lost.pop(run)
+        return self._results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
     def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
-        """Replay one sequence through all its configurations, interleaved, then judge them all.
-
-        A configuration has one process for all sequences, unless it ends.
-        """
-        sizes, lost = self._sizes(batch.jobs, sources)
+        """Replay one sequence through all its configurations, interleaved, then judge them."""
+        sizes, lost = self._log_sizes(batch.jobs, sources)
         if not sizes:
             return lost
         what = f"the replays of {batch.jobs[0].cell.sequence}"
         try:
             folder = self._scratch.folder(sum(sizes.values()), what)
         except NoRoomError as error:
-            return lost + [_lost(job, str(error)) for job in sizes]
-        outcomes = self._by_turns(batch, [*sizes], sources, folder)
+            return lost + [_lost_result(job, str(error)) for job in sizes]
+        outcomes = self._run_turns_with_retries(batch, [*sizes], sources, folder)
         stepped = [
             job
             for job in sizes
@@ -173,26 +232,29 @@ class CellExecutor(ExitStack):
         shares = filter(None, (cells[i :: len(self._cores)] for i in range(len(self._cores))))
         # Judged on every core, whatever the slots: nothing is timed any more.
         runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
-        records: dict[str, bytes] = {}
+        parts: list[BatchPart] = []
         unanswered = {job.run_id for job in stepped}
-        with self._machine(TOGETHER):
+        with self._lock_machine(TOGETHER):
             for run in run_on_cores(runs, self._cores):
                 outcomes |= run.outcomes
-                records |= run.records
-                unanswered -= run.outcomes.keys() | run.records.keys()
+                parts += run.parts
+                unanswered -= run.outcomes.keys()
+        unanswered -= {name for part in parts for name in part.outcomes}
         answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
-        return lost + self._results(answered, records, folder)
+        return lost + self._results(answered, parts, folder)
 
-    def _by_turns(
+    def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """What became of replays that took turns, by run_id.
+        """Return the outcomes of replays that took turns, by run_id.
 
-        Those whose template died run apart, one after the other, where the one that ends the next
-        template is known; all others of them take turns once more.
+        Suspects of a dead template run alone, which finds the one that ends its template; the
+        others take turns once more.
         """
-        cells = [(job.run_id, self._here(job.cell)) for job in jobs]
-        turns = partial(self._turns, batch, sources[jobs[0].source_key], folder)
+        cells = [
+            (job.run_id, replace(job.cell, solver_module=self._plugin_path(job))) for job in jobs
+        ]
+        turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)
         outcomes = turns(cells)
         suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
         for entry in suspects:
@@ -203,7 +265,7 @@ class CellExecutor(ExitStack):
             outcomes |= turns(cleared)
         return outcomes
 
-    def _turns(
+    def _run_turns(
         self,
         batch: CellBatch,
         source: Path,
@@ -212,15 +274,15 @@ class CellExecutor(ExitStack):
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """What became of replays of one sequence that took turns once."""
+        """Return the outcomes of replays of one sequence that took turns once."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
-        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
+        share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
             discard(folder / f"{run_id}.raw")
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = ALONE if self._concurrency == 1 else TOGETHER
-        with self._machine(how) as held, _away_from(core):
+        with self._lock_machine(how) as held, _avoid_core(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
                 batch.shown_work += share
@@ -228,10 +290,10 @@ class CellExecutor(ExitStack):
             self._concurrency = max(2, self._concurrency)
         return group.outcomes
 
-    def _sizes(
+    def _log_sizes(
         self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
-        """What each log takes [B]; jobs whose source cannot be read are not in it but lost."""
+        """Return the size of each log [B], and lost results of unreadable sources."""
         sizes: dict[CellJob, int] = {}
         lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
@@ -243,27 +305,22 @@ class CellExecutor(ExitStack):
                     known[alike] = log_size(cell, sources[job.source_key])
                 sizes[job] = known[alike]
             except InputError as error:
-                lost.append(_lost(job, str(error)))
+                lost.append(_lost_result(job, str(error)))
         return sizes, lost
 
-    def _here(self, cell: Cell) -> Cell:
-        """The cell with its plug-in where that lies on this machine."""
-        module = self._modules.get(cell.solver_module)
-        return cell if module is None else replace(cell, solver_module=module)
-
     def find_machine_free(self, *, times: bool) -> None:
-        """Before anything runs, where patience ends: BusyError at its end.
+        """Raise BusyError early where the machine stays busy beyond the patience.
 
         Parameters
         ----------
         times : whether replays will be timed, which takes all of the machine.
         """
         if self._patience.limit_s is not None:
-            with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
+            with self._lock_machine(ALONE if times and self._concurrency == 1 else TOGETHER):
                 pass
 
-    def _machine(self, how: int) -> AbstractContextManager[bool]:
-        return leased_machine(
+    def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
+        return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._say_waiting
         )
 
@@ -271,6 +328,10 @@ class CellExecutor(ExitStack):
         if holders != self._waited_for:
             self.progress.waiting(WAITING.format(holders))
         self._waited_for = holders
+
+    def _plugin_path(self, job: CellJob) -> str:
+        """Return the path of the job's plug-in on this machine."""
+        return self._modules.get(job.cell.solver_module, job.cell.solver_module)
 
     def _batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
@@ -283,54 +344,40 @@ class CellExecutor(ExitStack):
             outcome,
             job.library,
             self._machine_id,
-            self._modules.get(job.cell.solver_module, job.cell.solver_module),
-            self._concurrency_of(job.cell),
+            self._plugin_path(job),
+            self._concurrency if job.cell.is_timed else None,
         )
 
-    def _concurrency_of(self, cell: Cell) -> int | None:
-        """Of a replay that is timed, the column of that name; None of every other cell."""
-        return self._concurrency if cell.is_timed else None
-
     def _results(
-        self, outcomes: Mapping[CellJob, Outcome], records: Mapping[str, bytes], folder: Path
+        self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of a batch, and leave nothing in `folder` of what it left there.
-
-        Parameters
-        ----------
-        records : what the referee made of the steps of cells that left some, by run_id.
-        """
-        kept: dict[str, tuple[Row, pa.RecordBatch]] = {}
-        became = dict(outcomes)
+        """Return the results of a batch, those of a part together, and remove its files."""
+        kept = {name: part for part in parts for name in part.outcomes}
+        became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
-            if outcome.outcome != "lost":
-                try:
-                    kept[job.run_id] = self._kept(job, outcome, records.get(job.run_id))
-                except DAMAGE as error:
-                    became[job] = Outcome("lost", f"its record cannot be kept: {error}")
+            if outcome.outcome in ("finished", "timed_out") and job.run_id not in kept:
+                detail = "its record cannot be kept: the steps it made went away"
+                became[job] = Outcome("lost", detail)
+            elif outcome.outcome != "lost" and job.run_id not in kept:
+                about = job.run_id, job.cell, outcome, job.library, self._machine_id
+                row = run_row(
+                    *about, None, None, concurrency=self._concurrency if job.cell.is_timed else None
+                )
+                without_steps[job.run_id] = row, no_steps()
             discard(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
-                # What stands in a file's place by somebody else's doing goes with the folder.
+                # What somebody else put in a file's place goes with the folder.
                 with suppress(OSError):
                     (folder / f"{job.run_id}.{suffix}").unlink()
-        part = batch_part(kept) if kept else None
-        return [
-            Result(job.run_id, outcome, part if job.run_id in kept else None)
+        if without_steps:
+            kept |= dict.fromkeys(without_steps, batch_part(without_steps))
+        turn = {part: i for i, part in enumerate(kept.values())}
+        results = [
+            Result(job.run_id, outcome, None if outcome.outcome == "lost" else kept[job.run_id])
             for job, outcome in became.items()
         ]
-
-    def _kept(
-        self, job: CellJob, outcome: Outcome, record: bytes | None
-    ) -> tuple[Row, pa.RecordBatch]:
-        """Return the row and the steps of a cell; ValueError where it should have left some."""
-        if record is not None:
-            return unpacked(record)
-        if outcome.outcome in ("finished", "timed_out"):
-            raise ValueError("the steps it made went away")
-        about = job.run_id, job.cell, outcome, job.library, self._machine_id
-        row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-        return row, no_steps()
+        return sorted(results, key=lambda result: turn[result.part] if result.part else -1)
 
 
-def _lost(job: CellJob, cause: str) -> Result:
+def _lost_result(job: CellJob, cause: str) -> Result:
     return Result(job.run_id, Outcome("lost", cause))

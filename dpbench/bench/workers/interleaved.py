@@ -1,18 +1,18 @@
 """Replay one sequence through many solvers, interleaved round by round.
 
 All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
-hits all configurations alike. A worker that is done with a sequence waits for the next one of its
-configuration. Within a round the order of configurations is drawn anew from the seed. Rounds that
-other work on the machine robbed of speed run again at the end, within a budget.
+hits all configurations alike. A finished worker waits for the next sequence of its configuration.
+Within a round the order of configurations is drawn from the seed. Rounds that other load slowed
+run again at the end, within a budget.
 
-A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
-minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
-the slow-down of a round correlated with the load kernel around it at 0.8, with steal time at 0.2
-and with involuntary switches at 0.3. What those two take hits few steps of a round, and the
-minimum over the rounds passes over them.
+A neighbour may slow every step of a round by up to a factor of two, for milliseconds or minutes,
+which the counters do not show: over 14 runs of 14 configurations on a shared machine the slow-down
+of a round correlated with the load kernel around it at 0.8, with steal time at 0.2 and with
+involuntary switches at 0.3. What those two take hits few steps of a round, and the minimum over the
+rounds passes over them.
 
-Which round runs again is for the load kernel to say, never for the solver's own times: choosing
-rounds by these would make a ratio of two runs smaller than it is.
+The load kernel selects the rounds to repeat, never the solver's own times: that would make a ratio
+of two runs smaller than it is.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.worker import Hang, ReplayOrder, hang_of, serve_replays
+from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays
 
 STARTED_TOGETHER = 4
 DISTURBED_RETRIES = 1
@@ -51,9 +51,9 @@ class ReplayWorker:
 
     Attributes
     ----------
-    serving : whether it may be asked for further rounds.
-    spent_s : what its rounds took so far; clean_rounds : those of them that were not disturbed.
-    hung : where processes of it hung, of which it is now another.
+    serving : whether it takes further rounds.
+    spent_s : time of its rounds; clean_rounds : undisturbed ones.
+    hung : steps in which earlier processes of it hung.
     """
 
     def __init__(self, run_id: str, cell: Cell, child: ServingChild) -> None:
@@ -65,26 +65,21 @@ class ReplayWorker:
 
     @property
     def budget_exhausted(self) -> bool:
-        """Whether it has used up its budget and has rounds enough."""
+        """Whether its budget is used up and it has rounds enough."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 
 class IdleWorkers:
-    """Processes that wait for another sequence, by configuration: a library is imported once.
-
-    Parameters
-    ----------
-    core : where the one running worker is pinned.
-    """
+    """Processes that wait for another sequence, by configuration, on one `core`."""
 
     def __init__(self, context: ForkServerContext, core: int) -> None:
         self._context, self._core = context, core
         self._idle: dict[tuple[str, ...], ServingChild] = {}
 
     def start(self, order: ReplayOrder, cell: Cell) -> ServingChild:
-        """A process that begins a replay: one that waits for it, or a new one."""
+        """Return a waiting or new process that begins a replay."""
         child = self._idle.pop(process_key(cell), None)
         # One whose template died counts as dead too.
         if child is not None and not child.process.is_alive():
@@ -101,7 +96,7 @@ class IdleWorkers:
         return child
 
     def finish(self, child: ServingChild, cell: Cell) -> Outcome:
-        """What became of a replay; its process waits for another if it lives."""
+        """Return the outcome of a replay; its process waits for another if it lives."""
         outcome, key = child.finish(), process_key(cell)
         if child.process.is_alive() and key not in self._idle:
             self._idle[key] = child
@@ -110,7 +105,7 @@ class IdleWorkers:
         return outcome
 
     def close(self) -> None:
-        """End all that wait."""
+        """End all waiting processes."""
         idle, self._idle = [*self._idle.values()], {}
         for child in idle:
             child.order(None)
@@ -119,7 +114,7 @@ class IdleWorkers:
 
 
 def process_key(cell: Cell) -> tuple[str, ...]:
-    """Replays with the same key may share a process, one after the other."""
+    """Return a key of replays that may share a process, one after the other."""
     return (cell.solver_module, *(str(getattr(cell, name)) for name in COLUMNS))
 
 
@@ -129,7 +124,7 @@ class ReplayGroup:
     Parameters
     ----------
     cells : (run_id, cell) of each configuration; all see the same QPs.
-    source : the file the sequence is made from.
+    source : file the sequence is made from.
     alone : whether nothing else runs because a template died, see `Child`.
     """
 
@@ -147,13 +142,13 @@ class ReplayGroup:
         self.outcomes: dict[str, Outcome] = {}
 
     def run(self) -> Iterator[int]:
-        """Run all rounds; yields the number of each finished round, 0 for the warm-up."""
+        """Run all rounds; yield the number of each finished round, 0 for the warm-up."""
         workers: list[ReplayWorker] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                for entry in self._cells[i : i + STARTED_TOGETHER]:
-                    workers.append(self._start(*entry))
+                for run_id, cell in self._cells[i : i + STARTED_TOGETHER]:
+                    workers.append(ReplayWorker(run_id, cell, self._child(run_id, cell)))
                 for worker in workers[i:]:
                     worker.serving = worker.child.ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
@@ -170,18 +165,14 @@ class ReplayGroup:
                 self.outcomes[worker.run_id] = outcome
 
     def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
-        """Run robbed rounds again; of workers whose log somebody removed there are none to tell."""
+        """Repeat loaded rounds of workers whose logs still exist."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
                 with suppress(OSError, ValueError):
                     logs[worker.run_id] = self._log(worker)
-        rerun_loaded_rounds(
-            [worker for worker in workers if worker.run_id in logs], logs, self.serve, order
-        )
-
-    def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
-        return ReplayWorker(run_id, cell, self._child(run_id, cell))
+        serving = [worker for worker in workers if worker.run_id in logs]
+        rerun_loaded_rounds(serving, logs, self.serve, order)
 
     def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
@@ -190,7 +181,7 @@ class ReplayGroup:
         return child
 
     def serve(self, worker: ReplayWorker, r: int) -> None:
-        """Have a worker run round r, once more where it was disturbed."""
+        """Run round r on a worker, once more where it was disturbed."""
         for _ in range(DISTURBED_RETRIES + 1):
             worker.child.order(r)
             started = time.monotonic()
@@ -209,10 +200,10 @@ class ReplayGroup:
                 return
 
     def _goes_on(self, worker: ReplayWorker) -> bool:
-        """Whether a worker that was killed as it hung goes on behind that step in a new process."""
+        """Return whether a worker killed in a step goes on in a new process."""
         if worker.child.outcome().outcome != "hung":
             return False
-        hang = hang_of(worker.cell, worker.child.raw_path, worker.hung)
+        hang = find_hang(worker.cell, worker.child.raw_path, worker.hung)
         if hang is None:
             return False
         worker.child.dismiss()
@@ -221,24 +212,21 @@ class ReplayGroup:
         return worker.child.ready() is True
 
     def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
-        """Whether the reference kernel around round r was slow against the worker's other
-        rounds."""
+        """Return whether the reference kernel around round r was slow."""
         try:
-            kernel_ns = self._log(worker).reference_kernel_ns
+            return bool(is_disturbed(self._log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
-        return bool(is_disturbed(kernel_ns)[r])
 
     def _log(self, worker: ReplayWorker) -> RawLog:
-        """What the worker has recorded so far."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 
 def load_levels(log: RawLog) -> NDArray[np.float64]:
-    """(rounds,) the load kernel around each round [ns]: median of its passes on the quieter side.
+    """Return the load kernel around each round [ns] (rounds,): median of its quieter side.
 
-    NaN for a round that was not finished, and for the warm-up, which does not count.
+    NaN for an unfinished round, and for the warm-up.
     """
     levels: NDArray[np.float64] = np.median(log.load_kernel_ns, axis=2).min(axis=1)
     levels[(levels <= 0.0) | (log.done == 0)] = np.nan
@@ -247,7 +235,7 @@ def load_levels(log: RawLog) -> NDArray[np.float64]:
 
 
 def most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
-    """The round that was robbed most, None where none was."""
+    """Return the most loaded round; None without any."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 
@@ -258,14 +246,14 @@ def rerun_loaded_rounds(
     serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
-    """Run robbed rounds again, one of each configuration by turns, while its budget lasts.
+    """Repeat loaded rounds, one of each configuration by turns, within its budget.
 
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.
 
     Parameters
     ----------
-    logs : the raw log of each configuration; serve : runs a round of a configuration into it.
+    logs : raw log of each configuration; serve : runs a round of a configuration into it.
     order : of the configurations within a turn.
     """
     # Within its own limit too: a repetition must not end a configuration that had done its work.

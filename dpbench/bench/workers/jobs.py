@@ -1,4 +1,4 @@
-"""Cells to be run and files to be made, what became of them, and what is handed over together."""
+"""Cells to run and files to make, their results, and batches of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.finished_batch import BatchPart
+from dpbench.bench.record.step_table import BatchPart
 from dpbench.solvers.table import Availability
 
 Item = TypeVar("Item")
@@ -31,10 +31,7 @@ Target = Callable[[str, Path, str, int, Path], None]
 
 @dataclass(eq=False)
 class CellJob:
-    """A planned cell on its way through the campaign.
-
-    machine_id : of the machine that its `run_id` is of.
-    """
+    """A planned cell on its way; `machine_id` is that of its `run_id`."""
 
     planned: PlannedCell
     run_id: str
@@ -49,15 +46,16 @@ class CellJob:
 
     @cached_property
     def source_key(self) -> str:
-        """Of the file behind its QPs."""
+        """Key of the file behind its QPs."""
         return self.cell.source_key(HARNESS_VERSION)
 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a cell, or of a file, whose `run_id` is its path.
+    """Outcome of a cell, or of a file, whose `run_id` is its path.
 
-    part : the finished cells of its batch, one object for all of these; None where nothing is kept.
+    `part` has the finished cells of its batch, one object for all of these; None where nothing is
+    kept.
     """
 
     run_id: str
@@ -76,10 +74,9 @@ class CellBatch:
 
     Parameters
     ----------
-    isolated : whether nothing else runs meanwhile, because an earlier process of it took others
-        along.
+    isolated : whether it runs alone, because an earlier process of it took others along.
     attempts : how often it was handed over in vain.
-    shown_work : what the progress bar shows of it before it is completed [steps].
+    shown_work : steps that the progress bar shows of it before it is completed.
     """
 
     kind: Kind
@@ -95,16 +92,16 @@ class CellBatch:
 
     @property
     def names(self) -> list[str]:
-        """The `run_id` of each cell."""
+        """Each cell's `run_id`."""
         return [job.run_id for job in self.jobs]
 
     @property
     def source_keys(self) -> list[str]:
-        """Of the files behind its QPs, each once."""
-        return [*by_source(self.jobs)]
+        """Keys of the files behind its QPs, each once."""
+        return [*group_by_source(self.jobs)]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
-        """Batches of those cells alone: replays of one sequence together, all others one by one."""
+        """Return isolated batches of those cells, timed replays together."""
         jobs = [job for job in self.jobs if job.run_id in names]
         groups = [jobs] if self.is_timed else [[job] for job in jobs]
         return [CellBatch(self.kind, group, isolated=True) for group in groups]
@@ -112,13 +109,13 @@ class CellBatch:
 
 @dataclass(eq=False)
 class FileBatch:
-    """Files that are made one after the other in one process.
+    """Files made one after the other in one process.
 
     Parameters
     ----------
     texts : the description of each file, by its path.
-    limit_s : what each may take; None for any time.
-    are_sources : whether cells need them: they lie wherever the cells run.
+    limit_s : time limit of each; None for none.
+    are_sources : whether cells need them: they are stored where the cells run.
     isolated, attempts : as of a `CellBatch`.
     """
 
@@ -132,11 +129,11 @@ class FileBatch:
 
     @property
     def names(self) -> list[str]:
-        """The path of each file."""
+        """Path of each file."""
         return [str(path) for path in self.texts]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[FileBatch]:
-        """A batch of each of those files."""
+        """Return an isolated batch of each of those files."""
         return [
             FileBatch(self.target, {path: text}, self.limit_s, self.are_sources, isolated=True)
             for path, text in self.texts.items()
@@ -147,7 +144,7 @@ class FileBatch:
 Batch = CellBatch | FileBatch
 
 
-def by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
+def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
     """Group jobs by the key of the source of their QPs."""
     of_key: dict[str, list[CellJob]] = {}
     for job in jobs:
@@ -155,8 +152,8 @@ def by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
     return of_key
 
 
-def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
-    """Group replay jobs by the QPs they see; those of a group are timed by turns."""
+def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
+    """Group replay jobs by their QPs; those of a group are timed by turns."""
     groups: dict[str, list[CellJob]] = {}
     for job in jobs:
         groups.setdefault(job.cell.problem_key, []).append(job)
@@ -174,23 +171,23 @@ def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBa
     All configurations meet a sea at about the same time, so that its source is released soon.
     """
     if kind == "replays":
-        return [CellBatch(kind, group) for group in interleaved(jobs)]
+        return [CellBatch(kind, group) for group in group_by_problem(jobs)]
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
         alike.setdefault(configuration_key(job.cell), []).append(job)
     size_s = batch_seconds(sum(expected_seconds(job) for job in jobs), slots)
-    groups = [g for some in alike.values() for g in in_groups(some, expected_seconds, size_s)]
-    turn = {key: i for i, key in enumerate(by_source(jobs))}
+    groups = [g for some in alike.values() for g in cut_into_groups(some, expected_seconds, size_s)]
+    turn = {key: i for i, key in enumerate(group_by_source(jobs))}
     groups.sort(key=lambda group: turn[group[0].source_key])
     return [CellBatch(kind, group) for group in groups]
 
 
 def batch_seconds(total_s: float, slots: int) -> float:
-    """Return the least work of a batch of which there are enough for all slots [s]."""
+    """Return the least work of a batch that gives enough batches for all slots [s]."""
     return min(LONGEST_S, max(SHORTEST_S, total_s / (BATCHES_PER_SLOT * slots)))
 
 
-def in_groups(
+def cut_into_groups(
     items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
 ) -> Iterator[list[Item]]:
     """Cut items into groups that take `size_s` or more, and `LONGEST_S` at most."""
@@ -211,21 +208,21 @@ def in_groups(
 
 
 def expected_seconds(job: CellJob) -> float:
-    """Return what a cell takes by the measured rates."""
-    return CELL_S + STEP_S * work_of(job.cell)
+    """Return the time of a cell by the measured rates."""
+    return CELL_S + STEP_S * count_steps(job.cell)
 
 
-def work_of(cell: Cell) -> int:
+def count_steps(cell: Cell) -> int:
     """Count the steps a cell will take, for the progress bar."""
     return cell.steps * max(1, cell.rounds)
 
 
-def name_of(cell: Cell) -> str:
-    """Return what the progress bar calls a cell."""
+def cell_label(cell: Cell) -> str:
+    """Return the name of a cell in the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
-def solvers_of(jobs: Iterable[CellJob]) -> list[str]:
+def list_solvers(jobs: Iterable[CellJob]) -> list[str]:
     """Name the solvers of cells, and their backups, each once."""
     names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
     return [*dict.fromkeys(names)]

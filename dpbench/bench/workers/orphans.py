@@ -1,8 +1,8 @@
-"""Processes that a worker started and left: finding them and ending them.
+"""Find and end processes that a worker started and left.
 
-The kernel hands an orphan to the nearest ancestor that asked for it (PR_SET_CHILD_SUBREAPER,
-prctl(2)), however often it forked and whatever session it made for itself. A worker asks while it
-lives; what it leaves goes to the keeper (`keeper.py`), which has no other child but the template.
+The kernel hands an orphan to the nearest ancestor that requested it (PR_SET_CHILD_SUBREAPER,
+prctl(2)), through any number of forks and sessions. That is the worker while it lives, and then the
+keeper (`keeper.py`), which has no other child but the template.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def end_with_parent(parent: int) -> None:
 
 
 def has_children() -> bool:
-    """Whether this process has any child, dead ones that nobody waited for included."""
+    """Return whether this process has any child, zombies included."""
     flags = os.WEXITED | os.WNOHANG | os.WNOWAIT | _ALL_CHILDREN
     try:
         os.waitid(os.P_ALL, 0, flags)
@@ -46,8 +46,8 @@ def has_children() -> bool:
     return True
 
 
-def children_of(pid: int) -> list[int]:
-    """The children of a process of one thread; none where it is gone."""
+def list_children(pid: int) -> list[int]:
+    """Return the children of a process of one thread; none where it is gone."""
     try:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
@@ -56,7 +56,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def _search_children(pid: int) -> list[int]:
-    """As `children_of`, on a kernel that does not list them."""
+    """Return the children of a process on a kernel that does not list them."""
     import psutil  # the keeper does without it
 
     try:
@@ -73,19 +73,16 @@ def signal_process(pid: int, number: signal.Signals) -> None:
 
 
 def end_below(keeper: int) -> None:
-    """End the template of a keeper, which ends all that is left below it, and then itself."""
-    for child in children_of(keeper) if keeper else []:
+    """End the template of a keeper, which ends all below it, and then itself."""
+    for child in list_children(keeper) if keeper else []:
         signal_process(child, signal.SIGKILL)
 
 
 def end_orphans(keeper: int, template: int) -> None:
-    """End what ended workers left to the keeper; nothing where either of the two is gone.
-
-    A keeper whose template ended ends all by itself.
-    """
+    """End orphans of the keeper; nothing where it or the template is gone."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        children = children_of(keeper) if keeper else []
+        children = list_children(keeper) if keeper else []
         if template not in children or len(children) == 1:
             return
         # It waits for those that end, unless somebody stopped it.
@@ -100,7 +97,7 @@ def end_children() -> None:
     """End all children of this process, and those they leave, and wait for them."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        for child in children_of(os.getpid()):
+        for child in list_children(os.getpid()):
             signal_process(child, signal.SIGKILL)
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:

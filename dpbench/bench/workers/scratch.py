@@ -1,10 +1,8 @@
-"""Where the raw logs of cells lie while they are written, and whether there is room for them.
+"""Folders of raw logs, with a check for room before they are written.
 
-In memory where that can be, so that no write-back of a disk disturbs a step. A container has some
-64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
-next place is taken where it is short.
-
-What a killed campaign has left (`temporary_folders.py`) goes when the next one looks for room.
+They are in memory where possible, so that no write-back of a disk disturbs a step. A container has
+some 64 MB of it where the replays of a suite can need 200, so that the next place is taken where
+room is short. Folders of killed campaigns (`temporary_folders.py`) are removed first.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
@@ -32,12 +29,12 @@ class NoRoomError(DpbenchError):
 
 
 def scratch_folder() -> AbstractContextManager[Path]:
-    """A folder for what processes leave behind until it is kept; in memory where that can be."""
+    """Open a temporary folder, in memory where that can be written."""
     return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
-def free_bytes(place: Path) -> int:
-    """What can be written at a place; in memory no more than there is of that."""
+def count_free_bytes(place: Path) -> int:
+    """Return the free bytes of a place, in memory at most those available."""
     volume = os.statvfs(place)
     # A tmpfs without a limit says that it has no blocks at all.
     free = volume.f_bavail * volume.f_frsize if volume.f_blocks else sys.maxsize
@@ -45,16 +42,19 @@ def free_bytes(place: Path) -> int:
 
 
 class Scratch(ExitStack):
-    """Scratch folders of one campaign, each made when it is needed, all gone at the end.
+    """Scratch folders of one campaign, made when needed, removed at the end.
 
-    Parameters
-    ----------
-    beside : a folder on the disk of the results, the last resort.
+    `beside` is a folder on the disk of the results, the last resort.
     """
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
+        # One place on each file system.
+        by_device: dict[int, Path] = {}
+        for place in (MEMORY, Path(tempfile.gettempdir()), beside):
+            if os.access(place, os.W_OK):
+                by_device.setdefault(place.stat().st_dev, place)
+        self._places = list(by_device.values())
         for place in self._places:
             clear_abandoned(place)
         self._made: dict[Path, Path] = {}
@@ -62,7 +62,7 @@ class Scratch(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """Which logs did not lie where they should; a line for each other place."""
+        """A line for each other place that logs were put into."""
         lines = []
         for place, parts in self._elsewhere.items():
             _, largest = max(parts)
@@ -71,41 +71,32 @@ class Scratch(ExitStack):
         return lines
 
     def folder(self, need: int = 0, what: str = "") -> Path:
-        """A folder with room for `need` bytes of logs of `what`; some folder where it needs none.
+        """Return a folder with room for `need` bytes of logs of `what`; any for 0 bytes.
 
         Raises
         ------
-        NoRoomError : there is none; says what there is.
+        NoRoomError : there is none.
         """
         short: list[str] = []
         for place in self._places:
-            free = free_bytes(place)
+            free = count_free_bytes(place)
             if free < need + MARGIN_BYTES:
                 short.append(f"{place} has {_megabytes(free)}")
                 continue
             if short and need:
                 words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
                 self._elsewhere.setdefault(place, []).append((need, words))
-            return self._folder(place)
+            return self._make_folder(place)
         if not need:
-            return self._folder(self._places[-1])
+            return self._make_folder(self._places[-1])
         raise NoRoomError(
             f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
         )
 
-    def _folder(self, place: Path) -> Path:
+    def _make_folder(self, place: Path) -> Path:
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
-
-
-def _apart(places: Sequence[Path]) -> list[Path]:
-    """Of places that can be written to, one on each file system."""
-    by_device: dict[int, Path] = {}
-    for place in places:
-        if os.access(place, os.W_OK):
-            by_device.setdefault(place.stat().st_dev, place)
-    return list(by_device.values())
 
 
 def _megabytes(size: int) -> str:

@@ -1,8 +1,7 @@
-"""Who is at work in a process, harness or solver, and what it prints, where its supervisor reads it
-whatever happens.
+"""Phase and output of a process, in memory shared with its supervisor.
 
-Memory without a name that both share: no file system can be too full for it, nobody can remove it,
-and it outlives the process. Without it a death is charged to whoever it happened to.
+Anonymous memory needs no room on a file system, cannot be removed, and outlives the process. It
+tells whether the harness or the solver was at work when the process died.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Who is at work in a process."""
+    """Part of the program at work in a process."""
 
     STARTING = 0
     HARNESS = 1
@@ -54,14 +53,14 @@ class Phase(IntEnum):
 
     @property
     def blames_solver(self) -> bool:
-        """Whether a process that ends now ends by its solver."""
+        """Whether a process that ends now was ended by its solver."""
         return self >= Phase.OPENING
 
 
 class Output:
-    """What a process and those that it starts print: a file in memory that does not grow.
+    """Output of a process and its children: a file in memory of fixed size.
 
-    Supervisor and process share the position in it, so the supervisor sees how far it is filled.
+    Its position is shared with the supervisor and tells how far it is filled.
     """
 
     def __init__(self, descriptor: int | None = None) -> None:
@@ -74,10 +73,10 @@ class Output:
         weakref.finalize(self, os.close, descriptor)
 
     def __reduce__(self) -> tuple[Callable[..., Output], tuple[Any, ...]]:
-        return _received, (reduction.DupFd(self._descriptor),)
+        return _receive_output, (reduction.DupFd(self._descriptor),)
 
     def take(self) -> None:
-        """Send what this process prints here from now on."""
+        """Redirect the output of this process to it."""
         for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(self._descriptor, number)
             sink = io.BufferedWriter(_Sink(number, "w", closefd=False))
@@ -85,20 +84,20 @@ class Output:
             setattr(sys, name, text)
 
     def begin_again(self) -> None:
-        """Forget what was printed so far."""
+        """Forget earlier output."""
         with suppress(ValueError):
             sys.stdout.flush()
         os.lseek(self._descriptor, 0, os.SEEK_SET)
 
     @property
     def is_full(self) -> bool:
-        """Whether some of it was dropped."""
+        """Whether output was dropped."""
         # A write may be refused whole for its last bytes.
         return self._end > OUTPUT_BYTES - 2**14
 
     @property
     def last_line(self) -> str:
-        """The last line of it; "" where there is none."""
+        """Its last line; "" where there is none."""
         start = max(0, self._end - 4096)
         text = os.pread(self._descriptor, self._end - start, start).decode(errors="replace")
         return (text.strip().splitlines() or [""])[-1][:300]
@@ -118,12 +117,12 @@ class _Sink(io.FileIO):
             return len(data)
 
 
-def _received(descriptor: Any) -> Output:
+def _receive_output(descriptor: Any) -> Output:
     return Output(descriptor.detach())
 
 
 class SharedStatus:
-    """One process's page, shared with its supervisor; sent to the process as an argument."""
+    """The page of one process, shared with its supervisor; sent as an argument."""
 
     def __init__(self, descriptor: int | None = None, output: Output | None = None) -> None:
         self.output = output or Output()
@@ -134,27 +133,29 @@ class SharedStatus:
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
     def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
-        return _attached, (reduction.DupFd(self._descriptor), self.output)
+        return _receive_status, (reduction.DupFd(self._descriptor), self.output)
 
     def handed_over(self) -> None:
-        """The process has it; the descriptor is needed no more."""
+        """Close the descriptor after the process has received it."""
         os.close(self._descriptor)
 
     def begin(self) -> None:
-        """Say what this process was forked from, and that the harness is at work; end here if that
-        has died."""
+        """Write template and keeper of the process, and begin the phase of the harness.
+
+        The process ends here if its template has died.
+        """
         orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
         _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
         self.set_phase(Phase.HARNESS)
 
     def set_phase(self, who: Phase, place: int | None = None) -> None:
-        """Say who is at work from now on, and on which cell of several."""
+        """Set the phase, and the number of the current one of several cells."""
         at = self.place if place is None else place
         _HEAD.pack_into(self._page, 0, who, at, 0)
 
     def record_exit(self, who: Phase, words: str) -> None:
-        """Say by whose doing the process ends, and why."""
+        """Write the phase that ends the process, and the reason."""
         text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
         _PEAK.pack_into(self._page, _PEAK_AT, peak_bytes_of())
@@ -162,68 +163,68 @@ class SharedStatus:
 
     @property
     def who(self) -> Phase:
-        """Who is, or was at the end, at work."""
+        """The phase, or the last one of a process that ended."""
         return Phase(_HEAD.unpack_from(self._page)[0])
 
     @property
     def place(self) -> int:
-        """On which cell."""
+        """Number of the current cell."""
         return int(_HEAD.unpack_from(self._page)[1])
 
     @property
     def template(self) -> int:
-        """The process that this one was forked from; 0 before it began."""
+        """Process that this one was forked from; 0 before it began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
 
     @property
     def keeper(self) -> int:
-        """The process above that, which gets orphans; 0 before it began."""
+        """Process above the template, which adopts orphans; 0 before it began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[1])
 
     @property
     def peak_bytes(self) -> float:
-        """The peak of its memory when an exception ended it; 0 for none."""
+        """Peak of its memory when an exception ended it; 0 for none."""
         return float(_PEAK.unpack_from(self._page, _PEAK_AT)[0])
 
     @property
     def words(self) -> str:
-        """Why the process ended, in its own words; "" where it had none."""
+        """Reason why the process ended; "" where it recorded none."""
         length = _HEAD.unpack_from(self._page)[2]
         text = bytes(self._page[_WORDS : _WORDS + length])
         return text.decode(errors="replace")
 
 
-def _attached(descriptor: Any, output: Output) -> SharedStatus:
-    """The notice in the process that it was sent to."""
+def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
+    """Return the status in the process that it was sent to."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.handed_over()
     return notice
 
 
-_here: list[SharedStatus] = []
+_process_status: list[SharedStatus] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
 def set_phase(who: Phase, place: int | None = None) -> None:
-    """Say who is at work in this process from now on, and on which cell of several."""
-    for notice in _here:
+    """Set the phase of this process, and the number of the current one of several cells."""
+    for notice in _process_status:
         notice.set_phase(who, place)
 
 
 def begin_output() -> None:
-    """Forget what this process printed: another cell begins."""
-    for notice in _here:
+    """Forget the output of this process, as another cell begins."""
+    for notice in _process_status:
         notice.output.begin_again()
 
 
-def output_cut() -> str:
-    """`CUT` where this process printed more than is kept; "" else."""
-    return CUT if any(notice.output.is_full for notice in _here) else ""
+def truncation_note() -> str:
+    """Return `CUT` where output of this process was dropped; "" else."""
+    return CUT if any(notice.output.is_full for notice in _process_status) else ""
 
 
 def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    """Run a process's target; what it raises ends the process, and is said on its notice."""
-    _here[:] = [notice]
+    """Run a process's target; record an exception as the reason of its end."""
+    _process_status[:] = [notice]
     notice.begin()
     notice.output.take()
     prefer_for_killing()
@@ -231,21 +232,21 @@ def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
         who = notice.who
-        if isinstance(error, Exception) and not _through_solver(error.__traceback__):
+        if isinstance(error, Exception) and not _is_from_solver(error.__traceback__):
             who = Phase.HARNESS
-        notice.record_exit(who, in_words(error))
+        notice.record_exit(who, describe_exception(error))
         raise SystemExit(1) from None
 
 
-def in_words(error: BaseException) -> str:
-    """What was raised, in half a line."""
+def describe_exception(error: BaseException) -> str:
+    """Return what was raised, in half a line."""
     if isinstance(error, SystemExit):
         return f"SystemExit({error.code!r})"
     return f"{type(error).__name__}: {error}"[:300]
 
 
-def _through_solver(trace: TracebackType | None) -> bool:
-    """Whether an exception came out of a solver, or out of what hands its answers on."""
+def _is_from_solver(trace: TracebackType | None) -> bool:
+    """Return whether an exception came out of a solver, or of its adapter."""
     while trace is not None:
         if trace.tb_frame.f_code.co_filename.startswith(_BY_SOLVERS):
             return True

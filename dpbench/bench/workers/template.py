@@ -1,7 +1,7 @@
-"""Importing this module makes a process the template that cells are forked from.
+"""The template process that cells are forked from: importing this module prepares it.
 
-It loads everything a cell needs except solvers, compiles their kernels, and starts no thread;
-forking it costs milliseconds where a fresh interpreter costs half a second.
+It loads all but solvers, compiles kernels, and starts no thread; a fork of it takes milliseconds
+where a fresh interpreter takes half a second.
 """
 
 from __future__ import annotations

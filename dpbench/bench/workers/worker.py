@@ -1,7 +1,7 @@
-"""What runs in a process of one configuration: one solver, pinned to one core, with its library.
+"""Targets of the processes of one configuration: one solver, pinned to one core.
 
-Every function here is the target of a process forked from a template that has no solver loaded
-(`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
+Each runs in a process forked from a template without solvers (`child.py`), leaves its raw log and a
+small JSON verdict, and never prints.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
@@ -23,11 +24,10 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.finished_batch import packed
 from dpbench.bench.record.npz import kept
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
-from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import ExactLoop, drawn_of
@@ -46,7 +46,7 @@ from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
 from dpbench.bench.sequences.source import is_readable, replayed, source_file
 from dpbench.bench.workers.orphans import has_children
-from dpbench.bench.workers.shared_status import Phase, begin_output, output_cut, set_phase
+from dpbench.bench.workers.shared_status import Phase, begin_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import scenario_once
@@ -73,17 +73,17 @@ def pin(core: int) -> None:
 
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
-    """Leave at `path` what became of a cell, for the supervisor to read."""
+    """Write the outcome of a cell for the supervisor."""
     write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
+    """A cell of a batch: its run_id and JSON, own run time, the file behind its QPs.
 
-    outcome : what became of it, once it ran; library, machine_id, concurrency : for its row.
+    outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.
-    module : where the plug-in of its solver lies on this machine; "" for none.
+    module : path of its plug-in on this machine; "" for none.
     """
 
     name: str
@@ -98,12 +98,12 @@ class BatchCell:
     hung: tuple[Hang, ...] = ()
 
 
-def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
-    """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
-    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer with
-    a backup.
+def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
+    """Return round and step in which the killed process of a cell hung, by its log.
 
-    The log counts as not started again, so that the next process has time to open its library.
+    None where it cannot go on behind it: it hung too often, outside of its steps, or on a slow
+    computer with a backup. The log counts as not started again, so that the next process has time
+    to open its library.
     """
     # The latencies of a backup are not repeated, and it may steer otherwise with others.
     if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
@@ -121,8 +121,7 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
 
 
 def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
-    """Round and step that a log waits for, none of the `known` ones in a replay; None if it is
-    full."""
+    """Return the first unfinished round and step of a log, none of the `known` steps."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -137,8 +136,8 @@ def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
     return r, next(k for k in range(first, cell.steps + 1) if k not in known)
 
 
-def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
-    """Settle the process and open the cell's solver in it; InputError where that is refused."""
+def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
+    """Settle the process and open the cell's solver; InputError where that is refused."""
     if settled:
         begin_output()
         forget_peak()
@@ -161,22 +160,16 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
     return workspace
 
 
-def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
-    """As `_opened`; None leaves a verdict `refused`."""
+def _open_or_refuse(
+    cell: Cell, folder: Path, name: str, *, settled: bool = False
+) -> Workspace | None:
+    """Open the cell's solver; write a verdict `refused` and return None where that fails."""
     try:
-        return _opened(cell, settled=settled)
+        return _open_workspace(cell, settled=settled)
     except InputError as error:
         set_phase(Phase.HARNESS)
         write_outcome(folder / f"{name}.json", Outcome("refused", str(error)))
         return None
-
-
-def _worst_detail(timed_solver: TimedSolver) -> str:
-    """The most frequent words of the library about its failures, with their count."""
-    if not timed_solver.details:
-        return ""
-    words, count = max(timed_solver.details.items(), key=lambda item: item[1])
-    return f"{count} × {words}"
 
 
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
@@ -186,12 +179,12 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         set_phase(Phase.HARNESS, i)
         name = batch_cell.name
         cell = replace(Cell.from_json(batch_cell.cell), solver_module=batch_cell.module)
-        workspace = _open(cell, folder, name, settled=i > 0)
+        workspace = _open_or_refuse(cell, folder, name, settled=i > 0)
         if workspace is None:
             continue
         raw = folder / f"{name}.raw"
         if cell.mode == "closed_loop":
-            verdict = _steer(cell, workspace, raw, batch_cell.source, batch_cell.hung)
+            verdict = _run_closed_loop(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         write_outcome(folder / f"{name}.json", verdict)
@@ -203,17 +196,17 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             return
 
 
-def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
-    """Makes the log of a cell at `raw`, or opens that of the process that hung before."""
+def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
+    """Return a function that makes the log of a cell, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
-def _steer(
+def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
+    """Run a closed loop in the weather of the reference loop; return the verdict."""
     scenario = scenario_once(cell.scenario).first(cell.steps)
-    limit_ns, new_log = round(cell.limit_s * 1e9), _log_at(raw, hung)
+    limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = closed_loop_setup(
             cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
@@ -229,13 +222,13 @@ def _steer(
     set_phase(Phase.HARNESS)
     np.subtract(counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
-    return _verdict(cell, workspace, setup.solver, stopped)
+    return _make_outcome(cell, workspace, setup.solver, stopped)
 
 
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Replay all rounds, whatever they take; the verdict."""
+    """Replay all rounds; return the verdict."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _replay_run(
@@ -245,29 +238,33 @@ def _replay_untimed(
     with interrupting(STEP_SHARE * cell.limit_s, clock):
         complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
-    return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    return _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
 
 
-def _in_round(log: RawLog) -> str:
+def _describe_round(log: RawLog) -> str:
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
-def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
-    """The verdict on a cell that ended by itself; `stopped` says how far its limit let it come."""
-    detail = _worst_detail(timed_solver)
-    if stopped:
-        stop = f"stopped after {cell.limit_s:g} s {stopped}"
-        detail = f"{stop}; {detail}" if detail else stop
-    if cut := output_cut():
-        detail = f"{detail}; {cut}" if detail else cut
+def _make_outcome(
+    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
+) -> Outcome:
+    """Return the verdict on a cell that ended by itself, `stopped` where its limit ended it."""
+    details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
+    if timed_solver.details:
+        # The library's most frequent words on its failures.
+        words, count = max(timed_solver.details.items(), key=lambda item: item[1])
+        details.append(f"{count} × {words}")
+    detail = "; ".join(filter(None, [*details, truncation_note()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
 
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear, and
-    where earlier processes of it hung."""
+    """A replay to serve: JSON of its cell, source of its QPs, folder and name of its files.
+
+    `hung` tells where earlier processes of it hung.
+    """
 
     cell: str
     source: Path
@@ -277,11 +274,11 @@ class ReplayOrder:
 
 
 def serve_replays(core: int, orders: Connection) -> None:
-    """Serve replays of one configuration in turn, each with a workspace and a log of its own.
+    """Serve replays of one configuration in turn, each with its own workspace and log.
 
-    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are
-    True when it is ready, whether each round was completed, and True when its verdict is left;
-    None and no more where the configuration is refused, no reply to None where the replay leaves
+    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are True
+    when it is ready, whether each round was completed, and True when its verdict is written; None
+    and no more where the configuration is refused, no reply to None where the replay leaves
     processes behind. None in place of a replay ends the service.
     """
     memory, anywhere, settled = MemoryWatch(), os.sched_getaffinity(0), False
@@ -303,9 +300,9 @@ def serve_replays(core: int, orders: Connection) -> None:
 def _serve_replay(
     order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
 ) -> bool:
-    """Serve the rounds of one replay and leave its verdict; False where it is refused."""
+    """Serve the rounds of one replay and write its verdict; False where it is refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
-    workspace = _open(cell, folder, name, settled=settled)
+    workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
     memory.opened()
@@ -323,7 +320,7 @@ def _serve_replay(
         orders.send(complete)
     set_phase(Phase.HARNESS)
     log.footprint[:3] = (memory.peak_bytes(), *threads())
-    verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    verdict = _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
     write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
@@ -345,9 +342,9 @@ def _replay_run(
     memory: MemoryWatch | None = None,
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    """A replay ready for its rounds; from here on its solver is at work."""
+    """Prepare a replay for its rounds and begin the phase of its solver."""
     steps, timed_solver, log = replay_parts(
-        sequence, workspace, cell.formulation, cell.rounds, _log_at(raw, hung)
+        sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
     if memory is not None:
         memory.loaded(log)
@@ -366,14 +363,14 @@ def _replay_run(
 
 
 def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
-    """Replay every sequence that is ordered through a new workspace of the cell's configuration.
+    """Replay every ordered sequence through a new workspace of the cell's configuration.
 
-    An order is a sequence and the seconds it may take, the reply whether it was completed; None
-    ends the service. The first word is True, or why the configuration cannot run.
+    An order is a sequence and its time limit [s], the reply whether it was completed; None ends the
+    service. The first reply is True, or the reason why the configuration cannot run.
     """
     cell = Cell.from_json(text)
     try:
-        _opened(cell)
+        _open_workspace(cell)
     except InputError as error:
         orders.send(error)
         return
@@ -381,7 +378,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     while (order := orders.recv()) is not None:
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
-        workspace = _opened(cell, settled=True)
+        workspace = _open_workspace(cell, settled=True)
         configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
         complete = all(configuration.round(r) for r in range(cell.rounds + 1))
         set_phase(Phase.HARNESS)
@@ -391,8 +388,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz), unless a whole one is there; a verdict
-    appears in `folder`."""
+    """Make the file behind a cell's QPs at `path` (.npz) if need be; leave a verdict."""
     pin(core)
     settle()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
@@ -409,32 +405,35 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Let the referee judge the raw logs of cells; a record of each, as `packed` makes it, appears
-    in `folder` as `<name>.judged`.
+    """Let the referee judge the raw logs of cells in a process that never loaded their solver.
 
-    Runs in a process of its own, in which the solver under test was never loaded.
+    Their part appears in `folder` as `<name of the first>.judged`.
     """
     pin(core)
     settle()
+    judged: dict[str, tuple[Row, pa.RecordBatch]] = {}
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
-        (folder / f"{batch_cell.name}.judged").write_bytes(_judged(batch_cell, log))
+        judged[batch_cell.name] = _judge_cell(batch_cell, log)
+        if i + 1 == len(cells):
+            # Before the last verdict, so that a cell is to blame if this ends the process.
+            (folder / f"{cells[0].name}.judged").write_bytes(batch_part(judged).data)
         write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
-def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:
-    """The record of a cell that ran."""
+def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
+    """Return the row and the steps of a cell that ran."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
-    evaluated = _evaluate(cell, batch_cell.source, log)
+    evaluated = _evaluate_log(cell, batch_cell.source, log)
     steps = step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
     row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
-    return packed(row, step_batch(steps))
+    return row, step_batch(steps)
 
 
-def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
+def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> Evaluated:
     if cell.mode == "replay":
         known, judged = replayed(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
@@ -443,5 +442,5 @@ def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
 
 @lru_cache(maxsize=1)
 def _exact_loop(path: Path) -> ExactLoop:
-    """The course of one that many cells in a row are set beside, read once a process."""
+    """Return the reference loop, read once for many cells in a row."""
     return ExactLoop.load(path, with_optima=False)

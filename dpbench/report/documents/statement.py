@@ -18,8 +18,8 @@ import vl_convert as vlc
 
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.record.machine import made_by
 from dpbench.bench.record.result_folder import Results, hashes
-from dpbench.bench.record.revision import made_by
 from dpbench.errors import InputError
 from dpbench.files.writing import write_given
 from dpbench.report.charts.style import INK, LINE, SOFT

@@ -13,8 +13,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from dpbench.bench.record.machine import made_by, revision_text
 from dpbench.bench.record.result_folder import Results, hashes
-from dpbench.bench.record.revision import made_by, revision_text
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.glossary import topics as glossary

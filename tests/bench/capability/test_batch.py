@@ -16,7 +16,7 @@ from dpbench.bench.capability.frontier import Case, Frontier, Held
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
-from dpbench.bench.record.qp_source import CapabilitySource
+from dpbench.bench.record.cell import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.bench.sequences.sequence_file import load_recorded

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -18,7 +17,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
-from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import accidents
 from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
@@ -57,24 +56,19 @@ def open(policy, options):
 taken yet, as Dask may start either first."""
 
 
-class Watching:
+class Watching(Silent):
     """A progress that keeps what was said, and calls something once, at a cell."""
 
     def __init__(self, at: int, call: object) -> None:
         self.said: list[str] = []
         self._left, self._call = at, call
 
-    def start(self, work: int) -> None:
-        """Nothing."""
-
     def advance(self, work: int, what: str) -> None:
-        """One cell less."""
         self._left -= 1
         if self._left == 0 and callable(self._call):
             self._call()
 
     def remark(self, text: str) -> None:
-        """Keep it."""
         self.said.append(text)
 
 
@@ -114,7 +108,6 @@ def cluster_in(folder: Path) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the file of the scheduler lies."""
     return tmp_path_factory.mktemp("scheduler")
 
 
@@ -128,24 +121,19 @@ def scheduler(place: Path) -> Iterator[Cluster]:
 def test_a_cluster_of_this_machine_gives_the_same(
     suite: Path, undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Loops, replays and random problems, to the last bit; the replays had the machine alone, and
-    nobody hears what workers say of themselves."""
     out = run_campaign(suite, tmp_path / "out", engine="dask", jobs=2)
     assert capfd.readouterr() == ("", "")
     assert_same(out, undisturbed)
     runs = load_results(out).runs
     timed = (runs["mode"] == "replay") & (runs["scenario"] != "")
-    assert (runs.loc[timed, "concurrency"] == 1).all() and runs.loc[
-        ~timed, "concurrency"
-    ].isna().all()
+    assert (runs.loc[timed, "concurrency"] == 1).all()
+    assert runs.loc[~timed, "concurrency"].isna().all()
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
 
 
 def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its cells run elsewhere, one by one; what kills every worker is lost, and blamed on no
-    solver."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     module, path = tmp_path / "killing.py", tmp_path / "tiny.toml"
     killer = KILLER.replace("MARKER", repr(str(tmp_path / "marker")))
@@ -162,45 +150,9 @@ def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     assert others.T.to_dict("list") == {("admm", "high"): died}
 
 
-KILLED = """
-import os, signal, sys
-from dpbench.bench.record.cell_store import CellStore
-from dpbench.cli.main import main
-
-add, left = CellStore.add, [5]
-def dying(*given):
-    add(*given)
-    left[0] -= 1
-    if not left[0]:
-        os.kill(os.getpid(), signal.SIGKILL)
-CellStore.add = dying
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
-"""
-
-
-def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
-    suite: Path, undisturbed: Path, tmp_path: Path
-) -> None:
-    """What was finished stands, and is not run again."""
-    script, out = tmp_path / "killed.py", tmp_path / "out"
-    script.write_text(KILLED, encoding="utf-8")
-    words = ["run", str(suite), "--out", str(out), "--quiet", "--engine", "dask", "--jobs", "1"]
-    done = subprocess.run([sys.executable, str(script), *words], check=False, capture_output=True)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    before = CellStore(out).rows()["raw_max_ns"].to_dict()
-    assert len(before) == 5
-    run_campaign(suite, out)
-    assert_same(out, undisturbed)
-    after = load_results(out).runs.set_index("run_id")["raw_max_ns"]
-    assert {name: after[name] for name in before} == before
-
-
 def test_replays_beside_others_enter_no_ranking(
     suite: Path, tmp_path: Path, scheduler: Cluster
 ) -> None:
-    """No worker offers its machine alone: it is said before, it stands in the rows, and nobody
-    ranks their times."""
     watching = Watching(0, None)
     given = {"engine": "dask", "scheduler": scheduler[0], "solvers": ["daqp"]}
     out = run_campaign(suite, tmp_path / "out", progress=watching, **given)
@@ -223,7 +175,6 @@ def test_workers_that_join_late_are_given_tasks(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As many as those that were there from the beginning."""
     monkeypatch.setattr(dask_engine, "REFRESH_S", 0.0)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     submit, results, away = DaskEngine.submit, DaskEngine._results, [0, 0]
@@ -269,52 +220,12 @@ def test_a_connection_that_breaks_and_comes_back_loses_nothing(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Batches and sources on their way are handed over again."""
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
     watching = Watching(3, _break_connection)
     run_campaign(suite, out, engine="dask", scheduler=scheduler[0], progress=watching)
     assert set(load_results(out).runs["outcome"]) == {"finished"}
     assert accidents(out)[0] == 0
-
-
-OTHER_VERSION = """
-import dpbench.bench.record.cell
-dpbench.bench.record.cell.HARNESS_VERSION = "0.0.9"
-"""
-
-
-def test_a_late_worker_of_another_version_costs_no_cell(
-    suite: Path,
-    place: Path,
-    tmp_path: Path,
-    scheduler: Cluster,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It is refused before it is given work, and that is said."""
-    monkeypatch.setattr(dask_engine, "REFRESH_S", 0.1)
-    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
-    preload = tmp_path / "other.py"
-    preload.write_text(OTHER_VERSION, encoding="utf-8")
-    late: list[subprocess.Popen[bytes]] = []
-
-    def join() -> None:
-        late.append(started(place, *WORKER, "--preload", str(preload)))
-        with distributed.Client(scheduler[0], set_as_default=False) as client:
-            client.wait_for_workers(2)
-
-    watching = Watching(1, join)
-    try:
-        out = run_campaign(
-            suite, tmp_path / "out", engine="dask", scheduler=scheduler[0], progress=watching
-        )
-    finally:
-        for process in late:
-            process.kill()
-            process.wait()
-    assert set(load_results(out).runs["outcome"]) == {"finished"}
-    (remark,) = [text for text in watching.said if "0.0.9" in text]
-    assert "is given no cells" in remark
 
 
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
@@ -324,7 +235,6 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The campaign ends with what it has; the same suite completes it, on whatever engine."""
     monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
@@ -333,9 +243,8 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
     lost, remarks = accidents(out)
     runs = load_results(out).runs
-    assert (
-        set(runs["outcome"]) == {"finished", "lost"} and lost == (runs["outcome"] == "lost").sum()
-    )
+    assert set(runs["outcome"]) == {"finished", "lost"}
+    assert lost == (runs["outcome"] == "lost").sum()
     assert any("went away" in line and "same command" in line for line in remarks), remarks
     run_campaign(suite, out)
     assert_same(out, undisturbed)
@@ -365,48 +274,41 @@ sides = 4
 """
 
 
-def _dies_with_the_task(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
-    """The scheduler has been given what makes the file."""
+def _kill_with_files(
+    kill: Callable[[], None], patch: pytest.MonkeyPatch, *, gone_before: bool
+) -> None:
+    """Kill the scheduler once it has been given what makes a file, or so long before that the
+    client has given up."""
     submit = DaskEngine.submit
 
     def submitted(self: Any, batch: Any) -> None:
-        submit(self, batch)
-        if isinstance(batch, jobs.FileBatch) and not batch.are_sources:
-            kill()
-
-    patch.setattr(DaskEngine, "submit", submitted)
-
-
-def _gone_before(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
-    """Nobody tries to reach the scheduler any more when files are asked for."""
-    submit = DaskEngine.submit
-
-    def submitted(self: Any, batch: Any) -> None:
-        if isinstance(batch, jobs.FileBatch) and not batch.are_sources:
+        are_files = isinstance(batch, jobs.FileBatch) and not batch.are_sources
+        if are_files and gone_before:
             kill()
             while self.cluster.client.status != "closed":
                 time.sleep(0.05)
         submit(self, batch)
+        if are_files and not gone_before:
+            kill()
 
     patch.setattr(DaskEngine, "submit", submitted)
 
 
-@pytest.mark.parametrize("dies", [_dies_with_the_task, _gone_before])
+@pytest.mark.parametrize("gone_before", [False, True])
 @pytest.mark.parametrize("text", [DESIGN, CAPABILITY])
 def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
-    dies: Callable[[Callable[[], None], pytest.MonkeyPatch], None],
+    gone_before: bool,
     text: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Designs and capability plots: exit 1, what was finished stands, the same command goes on."""
     monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     path, out = tmp_path / "tiny.toml", tmp_path / "out"
     path.write_text(text, encoding="utf-8")
     words = ["run", str(path), "--out", str(out), "--quiet"]
     with cluster_in(tmp_path) as (address, process), monkeypatch.context() as patch:
-        dies(process.kill, patch)
+        _kill_with_files(process.kill, patch, gone_before=gone_before)
         assert main([*words, "--engine", "dask", "--scheduler", address]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "went away" in line and "same command" in line
@@ -420,7 +322,6 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
 def test_a_scheduler_that_does_not_answer_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 2 within seconds, and no result folder is begun."""
     out = tmp_path / "out"
     words = ["run", "smoke", "--out", str(out), "--engine", "dask", "--scheduler"]
     for address in ("tcp://127.0.0.1:1", "nowhere://x"):

@@ -11,23 +11,22 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.on_worker import make_files
+from tests.bench.deterministic import head
 
 WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
 
-STUDY = """
-title = "Eight seas"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-
+STUDY = (
+    head()
+    + """
 [[study]]
 base = "weather"
 steps = 3
 settings = ["default", "high"]
 replicates = { key = "environment.seed", count = 8 }
 """
+)
 
 
 class Done:
@@ -41,13 +40,11 @@ class Done:
             self.status, self._value = "error", error
 
     def result(self) -> object:
-        """What the task returned, or what became of it."""
         if isinstance(self._value, Exception):
             raise self._value
         return self._value
 
     def add_done_callback(self, call: Callable[[Done], None]) -> None:
-        """It has ended already."""
         call(self)
 
 
@@ -63,15 +60,12 @@ class Client:
         """They are there."""
 
     def scheduler_info(self, n_workers: int) -> dict[str, Any]:
-        """One of them."""
         return {"workers": {"tcp://a:0": {"host": "a", "nthreads": 1, "resources": {}}}}
 
     def run(self, function: Callable[[], object], workers: list[str], on_error: str) -> Any:
-        """What it says."""
         return {address: function() for address in workers}
 
     def submit(self, function: Callable[..., object], *args: Any, key: str, **how: Any) -> Done:
-        """Its future."""
         told = {name: how[name] for name in ("isolated", "alone", "concurrency") if name in how}
 
         def task() -> object:
@@ -94,14 +88,13 @@ def _known(arg: object) -> object:
 def test_sources_of_a_task_whose_worker_died_are_made_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No cell is lost for another's source."""
     client = Client()
 
     @contextmanager
     def cluster(workers: int) -> Iterator[Client]:
         yield client
 
-    monkeypatch.setattr(dask_engine, "own_cluster", cluster)
+    monkeypatch.setattr(dask_engine, "start_own_cluster", cluster)
     (tmp_path / "seas.toml").write_text(STUDY, encoding="utf-8")
     out = run_campaign(tmp_path / "seas.toml", tmp_path / "out", engine="dask", jobs=1)
     assert set(load_results(out).runs["outcome"]) == {"finished"}

@@ -50,7 +50,6 @@ def place() -> Iterator[Path]:
 
 
 def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
-    """By the lock of its folder, as that of a killed campaign."""
     done = subprocess.run(
         [sys.executable, "-c", DYING],
         env=os.environ | {"TMPDIR": str(place)},
@@ -67,7 +66,6 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
-    """Cells of daqp."""
     planned = RunRequest(suite=str(suite), solvers=["daqp"]).plan().cells
     return [CellJob(p, p.cell.key, available("daqp"), "machine") for p in planned]
 
@@ -78,7 +76,6 @@ def results_of(jobs: list[CellJob]) -> list[Result]:
 
 
 def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> None:
-    """Nor one that has none."""
     for job in jobs:
         job.library = replace(job.library, version="0.0.1")
     results = results_of(jobs)
@@ -89,7 +86,6 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
 def test_a_task_that_is_ended_leaves_nothing(
     jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In whatever it waits; its folders go, and others are not ended later."""
     # The socket of the fork server stays as long as this process.
     template_context([])
     monkeypatch.setattr(tempfile, "tempdir", str(place))

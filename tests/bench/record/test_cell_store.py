@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,20 +19,27 @@ from dpbench.bench.judge.rows import step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
-from dpbench.bench.record.finished_batch import BatchPart, batch_part, packed, unpacked
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
-from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.bench.record.schema import (
+    ABSENT,
+    RUN_COLUMNS,
+    SCHEMA_VERSION,
+    STEP_COLUMNS,
+    as_runs,
+    as_steps,
+)
 from dpbench.bench.record.step_table import (
+    BatchPart,
+    batch_part,
     columns_of,
+    complete_steps,
     concat_runs,
     filter_runs,
     no_steps,
     runs_table,
     step_batch,
-    stored_steps,
 )
-from dpbench.bench.tabulate import tabulate
-from dpbench.errors import InputError
+from dpbench.bench.tabulate import RequestedRuns, tabulate
 
 
 def steps_of(seed: int, count: int = 7) -> StepColumns:
@@ -103,16 +109,7 @@ def names_in(store: CellStore) -> list[str]:
     return [table["run_id"][0].as_py() for table in tables_of(store)]
 
 
-def test_a_record_comes_back_bit_for_bit() -> None:
-    """Row and steps."""
-    batch = step_batch(steps_of(1))
-    row, again = unpacked(packed(row_of("a"), batch))
-    assert again.equals(batch) and again.schema.equals(batch.schema)
-    assert row["settle_s"] == np.inf and row["effort_s"] == 0.1 + 0.2 and row["N_p"] is None
-
-
 def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
-    """All columns, from the file."""
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
     file.add(concat_runs({"a": step_batch(steps)}))
@@ -122,7 +119,6 @@ def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatch: Any) -> None:
-    """In tables of whole runs, each of them once."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
@@ -139,7 +135,6 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 
 def test_of_no_runs_nothing_is_held() -> None:
-    """What waits to be written beside a table must not keep the table in memory."""
     table = concat_runs({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
     assert filter_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
     nothing = filter_runs(table, {"c"})
@@ -148,7 +143,6 @@ def test_of_no_runs_nothing_is_held() -> None:
 
 
 def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
-    """It is run again, and what is beside it is kept."""
     store = CellStore(tmp_path)
     store.add(part("old", schema=SCHEMA_VERSION - 1))
     store.add(part("new", seed=1))
@@ -160,7 +154,6 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     "wrong", [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"cell": "{"}, {"cell": 5}]
 )
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    """Whoever wrote it has a right check sum; the other rows of its batch are read."""
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
     steps = step_batch(steps_of(0))
     CellStore(tmp_path).add(batch_part({name: (row, steps) for name, row in rows.items()}))
@@ -171,7 +164,6 @@ def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, A
 @pytest.mark.parametrize("at", [0, 10, -100, -1])
 @pytest.mark.parametrize("how", ["flipped", "cut", "empty"])
 def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) -> None:
-    """Wherever the damage is; while the campaign runs, too."""
     store = filled(tmp_path, "a", "b", "c")
     path = store.parts[1].steps
     data = bytearray(path.read_bytes())
@@ -183,7 +175,6 @@ def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) ->
 
 
 def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any) -> None:
-    """Nothing is left of it."""
     store, write = filled(tmp_path, "a"), Path.write_bytes
 
     def full(path: Path, data: bytes) -> None:
@@ -200,7 +191,6 @@ def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any)
 
 
 def test_a_batch_is_one_file(tmp_path: Path) -> None:
-    """Each of its results brings it; anybody can read its steps."""
     store, batch = CellStore(tmp_path), part("a", "b")
     for _ in range(2):
         store.add(batch)
@@ -212,7 +202,6 @@ def test_a_batch_is_one_file(tmp_path: Path) -> None:
 
 
 def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
-    """Beside others, and alone."""
     store = CellStore(tmp_path)
     crashed = row_of("c", outcome="crashed", steps_done=0), no_steps()
     store.add(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
@@ -225,7 +214,6 @@ def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
 def test_tables_of_parts_are_joined(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int
 ) -> None:
-    """Bit for bit, whether their row groups are copied or put together."""
     monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
     store = filled(tmp_path, "a", "b", "c")
     rows, sources = store.collect()
@@ -238,9 +226,9 @@ def test_tables_of_parts_are_joined(
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
     assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
-    found = stored_steps(groups.read())
+    found = complete_steps(groups.read())
     batches = {name: step_batch(steps_of(seed)) for seed, name in enumerate("abc")}
-    assert found.equals(stored_steps(concat_runs(batches)))
+    assert found.equals(complete_steps(concat_runs(batches)))
     assert store.public.is_sound() and list(store.public.outcomes()) == ["a", "b", "c"]
 
 
@@ -253,7 +241,6 @@ def twice(tmp_path: Path) -> Iterator[CellStore]:
 
 
 def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
-    """With the row and the steps of the latest."""
     assert names_in(twice) == ["a", "b"]
     assert twice.rows().loc["b", "steps_done"] == 9
     last = tables_of(twice)[1]
@@ -261,7 +248,6 @@ def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
 
 
 def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> None:
-    """As with --fresh: the others stay."""
     filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
     store.forget(["a", "b"])
@@ -273,7 +259,6 @@ def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> No
 def test_of_a_damaged_file_the_groups_that_can_be_read_count(
     tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Each run in a row group of its own: the damaged one is not finished, the others are."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 1)
     write_public(tmp_path, *"abc")
     public = CellStore(tmp_path).public
@@ -286,7 +271,6 @@ def test_of_a_damaged_file_the_groups_that_can_be_read_count(
 
 
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
-    """Killed between the two public tables: what the parts hold counts, once."""
     write_public(tmp_path, "a")
     store = CellStore(tmp_path)
     store.add(part("b", seed=1))
@@ -303,7 +287,6 @@ COPIES += ("part-00001{}.sync-conflict-20261122-101500-ABCDEFG.parquet",)
 
 
 def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
-    """They are neither read nor removed, and the next part has the next number."""
     CellStore(tmp_path).add(part("a", "b"))
     (source,) = (tmp_path / "cells").iterdir()
     copies = [source.with_name(name.format(source.stem[10:])) for name in COPIES]
@@ -319,7 +302,6 @@ def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> N
 
 
 def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
-    """Those of a campaign at work, whole and half done, and of designs and sources."""
     store = filled(tmp_path, "a")
     own = ["exact-0123456789ab.npz", "exact-0123456789ab.part.npz", "design-0123456789abcdef.json"]
     own += ["part-00002-01234567.parquet.part", "design-0123456789abcdef.json.part", ".lock"]
@@ -330,35 +312,9 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.part"))
 
 
-@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
-def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
-    """Be it in place of a part, or of one that is not whole yet."""
-    mine, out = tmp_path / "thesis.txt", tmp_path / "out"
-    mine.write_text("mine", encoding="utf-8")
-    (out / "cells").mkdir(parents=True)
-    name = f"part-00001-{zlib.crc32(part('a').data):08x}.parquet"
-    store = CellStore(out)
-    for taken in (name, f"{name}.part"):
-        link(mine, out / "cells" / taken)
-    store.add(part("a"))
-    assert mine.read_text("utf-8") == "mine" and mine.stat().st_nlink == 1
-    assert names_in(store) == ["a"]
-
-
-def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
-    """Nothing is written or removed where it points to."""
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "part-00001-0.part").touch()
-    (tmp_path / "cells").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="cells: found a link"):
-        CellStore(tmp_path)
-    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["part-00001-0.part"]
-
-
 def test_tables_are_on_the_disk_before_the_parts_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both files, and then the names in their folder."""
     events: list[tuple[str, str]] = []
     store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
 
@@ -391,3 +347,8 @@ def test_tables_are_on_the_disk_before_the_parts_go(
         ("sync", tmp_path.name),
         ("remove", name),
     ]
+
+
+def test_a_shard_without_cells_has_a_table_without_rows() -> None:
+    rows = RequestedRuns([]).rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

@@ -33,7 +33,6 @@ class _Said:
 def test_a_report_and_a_campaign_wait_for_each_other(
     tmp_path: Path, first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second says so in one line, and begins when the first has ended."""
     said, order = _Said(), list[str]()
     monkeypatch.setattr(sys, "stderr", said)
     folder = tmp_path / "out"
@@ -69,7 +68,6 @@ with claimed(folder, "smoke") if sys.argv[1] == "campaign" else writing(folder):
 
 @pytest.mark.parametrize("first", ["campaign", "report"])
 def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
-    """By its process, whether the second waits for it or is refused."""
     (tmp_path / "out").mkdir()
     command = [sys.executable, "-c", HOLD, first, str(tmp_path / "out")]
     with subprocess.Popen(
@@ -84,7 +82,6 @@ def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
 
 
 def test_two_campaigns_do_not_wait(tmp_path: Path) -> None:
-    """The second is refused; after the first it is not."""
     out = tmp_path / "out"
     with claimed(out, "smoke"), pytest.raises(InputError, match="in use"), claimed(out, "smoke"):
         pass
@@ -93,13 +90,11 @@ def test_two_campaigns_do_not_wait(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_not_held(tmp_path: Path) -> None:
-    """Nothing is made; what reads it says what is missing."""
     with writing(tmp_path / "out"):
         assert not (tmp_path / "out").exists()
 
 
 def test_nothing_is_made_through_a_link(tmp_path: Path) -> None:
-    """Neither through one in place of the folder of cells, nor of the lock in it."""
     mine, elsewhere, out = tmp_path / "thesis.txt", tmp_path / "elsewhere", tmp_path / "out"
     mine.write_text("mine", encoding="utf-8")
     elsewhere.mkdir()

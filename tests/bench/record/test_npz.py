@@ -24,7 +24,6 @@ ARRAYS = {
 
 @pytest.mark.parametrize("write", [keep, write_npz])
 def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path) -> None:
-    """Of every type and shape, in one piece or in a zip file, and nothing else is left."""
     path = tmp_path / "a.npz"
     write(path, ARRAYS)
     with kept(path) as stored:
@@ -38,7 +37,6 @@ def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path
 
 
 def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
-    """Wherever it is, and wherever the file ends."""
     path = tmp_path / "a.npz"
     keep(path, ARRAYS)
     whole = path.read_bytes()
@@ -82,14 +80,12 @@ def zipped(path: Path, member: bytes, method: int = zipfile.ZIP_DEFLATED) -> Pat
 def test_what_numpy_would_not_write_is_refused(
     member: bytes, method: int, found: str, tmp_path: Path
 ) -> None:
-    """Lengths that are truths or more than there is, other compression, bombs, broken texts."""
     with pytest.raises(InputError, match=found) as caught:
         read_npz(zipped(tmp_path / "a.npz", member, method), "a sequence")
     assert "\n" not in str(caught.value)
 
 
 def test_a_member_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:
-    """No more than is declared is unpacked; its check sum is wrong then."""
     path = zipped(tmp_path / "a.npz", npy("(15,)", bytes(10**8)))
     head = len(npy("(15,)", b""))
     declared, less = (struct.pack("<I", head + length) for length in (10**8, 120))

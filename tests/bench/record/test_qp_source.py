@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.qp_source import CONTROLLER, SOURCES, source_from
+from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, source_from
+from dpbench.errors import InputError
 
 CELL = Cell("replay", {"name": "turn"}, "daqp", "native", "fresh", "default", 20, first=100)
 RECIPE = {"family": "plain", "n": 4, "m": 6, "seed": 1, "steps": 24, "block": 0, "cond": 0.0}
@@ -47,3 +47,8 @@ def test_the_controller_needs_no_description() -> None:
     assert source_from({}) is CONTROLLER
     assert '"source"' not in CELL.to_json()
     assert (CELL.sequence, CELL.last_step) == ("turn[100:120]", 120)
+
+
+def test_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(InputError, match="dice"):
+        source_from({"kind": "dice"})

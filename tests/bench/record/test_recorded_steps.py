@@ -43,7 +43,6 @@ def _same(one: pd.DataFrame, other: pd.DataFrame) -> None:
 
 
 def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
-    """All runs, some, one, and one that left nothing."""
     file = StepsOnDisk(folder)
     memory = StepsInMemory(file.frame())
     assert file.rows == memory.rows == 7 * len(NAMES)
@@ -61,7 +60,6 @@ def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
 
 
 def test_tables_hold_whole_runs(folder: Path) -> None:
-    """In the order of the file, each run once and not cut in two."""
     tables = list(StepsOnDisk(folder).scan(("run_id", "k")))
     assert len(tables) > 1
     runs = [(name, list(of_run)) for t in tables for name, of_run in t.groupby("run_id")["k"]]
@@ -69,7 +67,6 @@ def test_tables_hold_whole_runs(folder: Path) -> None:
 
 
 def test_only_what_is_asked_for_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The row groups that hold a run, and the columns that are asked for."""
     read: list[tuple[int, set[str]]] = []
     inner = pq.ParquetFile.read_row_group
 
@@ -88,7 +85,6 @@ def test_only_what_is_asked_for_is_read(folder: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_column_that_is_in_no_file_is_missing(folder: Path) -> None:
-    """As of a file that was written before there was such a column; keys have to be there."""
     path = folder / "steps.parquet"
     table = pq.read_table(path)
     pq.write_table(table.drop_columns(["gap", "latency_ns", "status", "late"]), path)
@@ -102,7 +98,6 @@ def test_a_column_that_is_in_no_file_is_missing(folder: Path) -> None:
 
 
 def test_every_documented_column_is_in_the_file(folder: Path) -> None:
-    """With pandas alone: the numbers of each run, of the documented types."""
     steps = pd.read_parquet(folder / "steps.parquet")
     assert list(steps.columns) == list(STEP_COLUMNS)
     for seed, name in enumerate(NAMES):
@@ -115,7 +110,6 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
 
 
 def test_what_pandas_noted_is_not_followed(folder: Path) -> None:
-    """Anybody may have damaged it; the types are those of the schema."""
     path, wanted = folder / "steps.parquet", StepsOnDisk(folder).frame()
     noted = pq.read_table(path).replace_schema_metadata({"pandas": '{"index_columns": ["'})
     pq.write_table(noted, path)
@@ -123,7 +117,6 @@ def test_what_pandas_noted_is_not_followed(folder: Path) -> None:
 
 
 def test_damage_is_said_where_it_is_read(folder: Path) -> None:
-    """A page that was changed on the disk, with the name of the file."""
     path = folder / "steps.parquet"
     place = pq.read_metadata(path).row_group(1).column(7)
     data = bytearray(path.read_bytes())

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.revision import checked_out, installed, revision_text, revisions
+from dpbench.bench.record.machine import checkout_revision, installed, revision_text, revisions
 
 
 def _git(folder: Path, *words: str) -> None:
@@ -20,7 +20,6 @@ def _git(folder: Path, *words: str) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package in a checkout of its own."""
     folder = tmp_path / "package"
     folder.mkdir()
     (folder / "__init__.py").write_text("x = 1\n", encoding="utf-8")
@@ -31,25 +30,22 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_checkout_tells_its_commit_and_whether_it_is_clean(package: Path) -> None:
-    """A change of the package is said; one beside it is no change of what ran."""
-    clean = checked_out(package)
+    clean = checkout_revision(package)
     assert len(clean["commit"]) == 40 and clean["clean"] is True
     (package.parent / "notes.txt").write_text("beside", encoding="utf-8")
-    assert checked_out(package) == clean
+    assert checkout_revision(package) == clean
     (package / "__init__.py").write_text("x = 2\n", encoding="utf-8")
-    assert checked_out(package) == clean | {"clean": False}
+    assert checkout_revision(package) == clean | {"clean": False}
 
 
 def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: Path) -> None:
-    """As in an environment that lies in a project's folder."""
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert checked_out(other) == {}
+    assert checkout_revision(other) == {}
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the file of PEP 610, which an installation from an index has not."""
     noted: dict[str, str | None] = {"text": json.dumps({"vcs_info": {"commit_id": "ab" * 20}})}
     there = SimpleNamespace(read_text=lambda name: noted["text"])
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
@@ -59,7 +55,6 @@ def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
-    """Each once, the latest last; a folder from before says nothing."""
     old, new = {"commit": "a" * 40, "clean": True}, {"commit": "b" * 40, "clean": False}
     both = revisions([new, old], new)
     assert both == [old, new] and revisions([], {}) == []

@@ -10,8 +10,7 @@ import pytest
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import with_choices
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.qp_source import HardestSource
+from dpbench.bench.record.cell import Cell, HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.sequences.loop_sequences import (
     active_limits,

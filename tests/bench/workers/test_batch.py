@@ -14,23 +14,21 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers.jobs import CellJob, cell_batches
 from dpbench.solvers import plugins
 from dpbench.solvers.table import Availability
-from tests.bench.deterministic import deterministic
+from tests.bench.deterministic import deterministic, head
 
 pytestmark = pytest.mark.slow
 
 STEPS, CELLS, PER_PROCESS = 6, 24, 6
 """A single slot shares cells out to four processes at least."""
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["clipping"]
-baseline_law = false
-cell_limit_s = 60.0
-
+SUITE = (
+    head(solvers=["clipping"])
+    + f"""
 [[study]]
 base = "paper"
 steps = {STEPS}
 product = {{ "start.east_m" = {[0.5 * (i + 1) for i in range(CELLS)]} }}
 """
+)
 CLIPPING = """
 import os
 from itertools import count
@@ -89,7 +87,6 @@ def run(suite: Path, out: Path, fate: str = "") -> Results:
 def test_a_crash_in_the_midst_of_a_batch_costs_one_cell(
     cell: int, step: int, way: str, suite: Path, undisturbed: Results, tmp_path: Path
 ) -> None:
-    """One row a cell; the one that crashed keeps the steps before, and all others are equal."""
     results = run(suite, tmp_path / "out", f"{cell * STEPS + step} {way}")
     assert list(results.runs["run_id"]) == list(undisturbed.runs["run_id"])
     assert list(undisturbed.runs["outcome"]) == ["finished"] * CELLS
@@ -128,15 +125,12 @@ def batches_of(jobs: list[CellJob], slots: int) -> list[list[str]]:
 
 
 def test_configurations_meet_a_sea_at_about_the_same_time() -> None:
-    """The batches of all of them by turns, however many each has."""
     jobs = [job(solver, sea, 3000) for solver in "abc" for sea in range({"a": 1}.get(solver, 2))]
     found = [name for names in batches_of(jobs, 1) for name in names]
     assert found == ["a 0", "b 0", "c 0", "b 1", "c 1"]
 
 
 def test_a_batch_is_worth_a_process_and_costs_little() -> None:
-    """A tenth of a second of work or more, and a second of it or a single cell at most, by the
-    stated rates; not more than 32 cells; one configuration."""
     # A cell takes 9 ms and 0.25 ms a step: 11, 109 and 2509 ms here.
     assert {len(names) for names in batches_of([job("a", i, 8) for i in range(60)], 512)} == {10}
     assert max(map(len, batches_of([job("a", i, 8) for i in range(900)], 1))) == 32

@@ -5,11 +5,10 @@ from pathlib import Path
 import numba
 import pytest
 
-from dpbench.bench.workers.compiled import LOOP, OWN, missing, needed
+from dpbench.bench.workers.child import LOOP, OWN, missing, needed
 
 
 def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None:
-    """The template, which freezes what is loaded, is loaded last."""
     assert needed(["daqp", "unconstrained_clipped"]) == [LOOP]
     assert needed(["daqp", "hildreth"]) == [OWN, LOOP]
     assert needed(["paper_active_set"]) == [OWN, LOOP]
@@ -18,7 +17,6 @@ def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None
 def test_an_empty_cache_is_told_from_one_with_kernels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the index files that Numba leaves, each part by its own."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert missing([OWN, LOOP]) == [OWN, LOOP]
     (tmp_path / "kernel").mkdir()

@@ -10,18 +10,13 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell_store import CellStore
-from tests.bench.deterministic import assert_same
+from tests.bench.deterministic import assert_same, head
 
 pytestmark = pytest.mark.slow
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0)
+    + """
 [[closed_loop]]
 scenarios = ["paper", "rough"]
 settings = ["default", "high"]
@@ -32,6 +27,7 @@ families = ["no_rows"]
 sizes = [[3, 0], [4, 0]]
 steps = 5
 """
+)
 CELLS, ROWS = 10, 12
 """quadprog has no settings: its two loops and two random problems are cells, and its loops rows
 under two names; daqp has four loops."""
@@ -85,13 +81,13 @@ def undisturbed(suite: Path) -> Path:
 def test_what_was_killed_goes_on_as_if_nothing_was(
     moment: str, finished: int, suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """One row a cell, equal in all that is no time; what was finished is not run again."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", KILLED, moment, "run", str(suite), "--out", str(out)]
     done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, check=False)
     assert done.returncode == -9, done.stderr
     before = CellStore(out)
-    assert len(before.finished) == finished
+    # The last batch that was stored may have had two cells.
+    assert finished <= len(before.finished) <= finished + 1
     times = before.rows()["raw_max_ns"].to_dict()
     run_campaign(suite, out)
     results = load_results(out)

@@ -16,19 +16,14 @@ from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-HEAD = """
-title = "A suite for one test"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-"""
+HEAD = head(solvers=["quadprog"], rounds=1, warmup_steps=0)
+
 LOOPS = f"""
 [[closed_loop]]
 scenarios = ["paper"]
@@ -74,8 +69,7 @@ def suite(tmp_path: Path) -> Path:
 def test_what_goes_away_between_judging_and_keeping_is_lost(
     suffixes: tuple[str, ...], suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In closed loop and replay alike; no cell is finished without its steps."""
-    out, split = tmp_path / "out", batch._Run.split
+    out, split = tmp_path / "out", batch._ItemProcess.split
 
     def tidied(self: Any) -> Any:
         ended = split(self)
@@ -85,7 +79,7 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
         return ended
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._Run, "split", tidied)
+        patch.setattr(batch._ItemProcess, "split", tidied)
         assert accidents(run_campaign(suite, out, jobs=1))[0] == 3
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"lost"}
@@ -97,13 +91,13 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
 def test_rows_of_further_names_are_lost_with_their_cell(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With --fresh no name of a cell that was lost keeps what it was at an earlier time."""
     out = run_campaign(suite, tmp_path / "out")
     runs = load_results(out).runs
     assert len(runs) == 3 and set(runs["outcome"]) == {"finished"}
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: 1000)
+    monkeypatch.setattr(scratch, "count_free_bytes", lambda place: 1000)
     run_campaign(suite, out, fresh=True)
-    assert load_results(out).runs["outcome"].tolist() == ["lost"] * 3
+    results = load_results(out)
+    assert results.runs["outcome"].tolist() == ["lost"] * 3 and results.steps.empty
 
 
 def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str, Any]]:
@@ -119,7 +113,6 @@ def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str,
 def test_cells_whose_template_is_killed_run_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From a new one; what takes that along too is charged with it, and its process is ended."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, arguments = with_killer(tmp_path, LOOPS, 600.0)
     out = run_campaign(path, tmp_path / "out", jobs=1, **arguments)
@@ -134,7 +127,6 @@ def test_cells_whose_template_is_killed_run_once_more(
 def test_replays_whose_template_is_killed_run_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whether they came to their end without it or not."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, arguments = with_killer(tmp_path, REPLAYS, 0.0)
     out = run_campaign(path, tmp_path / "out", **arguments)
@@ -147,8 +139,6 @@ def test_replays_whose_template_is_killed_run_once_more(
 def test_without_any_process_the_command_ends_in_one_line(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 1, and the same command goes on when there are some."""
-
     def none_left(process: object) -> None:
         raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 

@@ -37,7 +37,6 @@ class Ended:
 
 @pytest.fixture
 def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A file of the test in place of /proc/vmstat."""
     path = tmp_path / "vmstat"
     path.write_text(VMSTAT.format(kills=3), encoding="ascii")
 
@@ -46,7 +45,7 @@ def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return path
 
     monkeypatch.setattr(supervise, "Path", opened)
-    monkeypatch.setattr(supervise, "_start", lambda process: None)
+    monkeypatch.setattr(supervise, "_start_process", lambda process: None)
     return path
 
 
@@ -60,27 +59,23 @@ def killed(folder: Path, number: int, who: Phase = Phase.SOLVER) -> Child:
 
 @pytest.mark.parametrize("who", [Phase.SOLVER, Phase.OPENING, Phase.HARNESS])
 def test_a_kill_for_want_of_memory_is_lost(who: Phase, vmstat: Path, tmp_path: Path) -> None:
-    """A higher count of the kernel makes the outcome `lost`, whoever was at work."""
     child = killed(tmp_path, signal.SIGKILL, who)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
     assert child.outcome() == Outcome("lost", BY_MEMORY)
 
 
 def test_a_kill_without_want_of_memory_is_a_crash(vmstat: Path, tmp_path: Path) -> None:
-    """An unchanged count of the kernel makes the outcome `crashed`."""
     child = killed(tmp_path, signal.SIGKILL)
     assert child.outcome() == Outcome("crashed", "killed by SIGKILL")
 
 
 def test_another_signal_is_a_crash_whatever_the_memory(vmstat: Path, tmp_path: Path) -> None:
-    """The kernel kills for want of memory by SIGKILL only."""
     child = killed(tmp_path, signal.SIGSEGV)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
     assert child.outcome() == Outcome("crashed", "killed by SIGSEGV")
 
 
 def test_a_kernel_that_does_not_count_leaves_a_kill_lost(vmstat: Path, tmp_path: Path) -> None:
-    """A kill without a counter or without its file is not charged to the solver."""
     vmstat.write_text("nr_free_pages 1137\n", encoding="ascii")
     assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
     vmstat.unlink()

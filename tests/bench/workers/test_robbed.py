@@ -65,14 +65,12 @@ def served(
 
 
 def test_robbed_rounds_run_again_until_they_are_quiet() -> None:
-    """Each once where the second attempt is quiet; the warm-up and quiet rounds never."""
     configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(0, 1, 3), "b": recorded()}
     assert sorted(served(configurations, logs, QUIET_NS)) == [("a", 1), ("a", 3)]
 
 
 def test_on_a_quiet_machine_nothing_runs_again() -> None:
-    """Rounds up to the factor above the quietest are quiet."""
     logs = {"a": recorded()}
     logs["a"].load_kernel_ns[2] = ROBBED_FACTOR * QUIET_NS
     assert served([configuration("a", 10.0)], logs, QUIET_NS) == []
@@ -80,7 +78,6 @@ def test_on_a_quiet_machine_nothing_runs_again() -> None:
 
 @pytest.mark.parametrize(("budget_s", "times"), [(0.0, 0), (0.25, 2), (0.45, 4)])
 def test_the_budget_ends_it_where_the_machine_stays_busy(budget_s: float, times: int) -> None:
-    """As many repetitions as the budget holds, of every configuration alike; none without one."""
     configurations = [configuration("a", budget_s), configuration("b", budget_s)]
     logs = {"a": recorded(1, 2), "b": recorded(1)}
     again = served(configurations, logs, BUSY_NS)
@@ -89,8 +86,6 @@ def test_the_budget_ends_it_where_the_machine_stays_busy(budget_s: float, times:
 
 
 def test_a_busy_run_of_one_configuration_is_told_by_the_others() -> None:
-    """What is quiet is the quietest round of any configuration: a configuration that saw none is
-    robbed throughout."""
     configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(1, 2, 3, 4), "b": recorded()}
     assert sorted(served(configurations, logs, QUIET_NS)) == [
@@ -99,7 +94,6 @@ def test_a_busy_run_of_one_configuration_is_told_by_the_others() -> None:
 
 
 def test_a_configuration_that_stopped_is_left_alone() -> None:
-    """One that died while a round was repeated gets no further one."""
     dying = configuration("a", 10.0)
     logs = {"a": recorded(1, 2)}
     again = []
@@ -115,14 +109,12 @@ def test_a_configuration_that_stopped_is_left_alone() -> None:
 
 
 def test_step_times_choose_no_round() -> None:
-    """Ten times as long steps beside a quiet load kernel are the solver's, and stay as they are."""
     slow = recorded()
     slow.times[2] = 10 * QUIET_NS
     assert served([configuration("a", 10.0)], {"a": slow}, QUIET_NS) == []
 
 
 def test_the_level_of_a_round_is_that_of_its_quieter_side() -> None:
-    """Median of the passes, so that one interrupted pass is none; NaN where nothing counts."""
     log = recorded()
     log.load_kernel_ns[1, 0] = BUSY_NS
     log.load_kernel_ns[2, :, 0] = 100 * BUSY_NS
