@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -88,7 +89,7 @@ class Delays:
     step_ns : median over the timings.
     round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
         base time; net_ns : (D,) its timing less the wait for the core, where that is known.
-    knows_waits : whether the wait of every timing is known.
+    has_waits : whether the wait of every timing is recorded.
     """
 
     samples: Ints
@@ -98,11 +99,13 @@ class Delays:
     delay_ns: Floats
     own_ns: Floats
     net_ns: Floats
-    knows_waits: bool
+    has_waits: bool
+    _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
 
-    def gross(self) -> Delays:
-        """Return the delays as if no wait were known."""
-        return replace(self, net_ns=self.delay_ns, knows_waits=False)
+    @cached_property
+    def without_waits(self) -> Delays:
+        """The delays as if no wait were known."""
+        return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
         """Count the delays beyond a limit in each round (R,)."""
@@ -110,13 +113,13 @@ class Delays:
         return self._count((self.delay_ns > limit_ns) & by_itself)
 
     def count_stalls(self, longer_than_ns: float) -> Ints:
-        """Count the delays that exceed their base time by more than a duration, by round (R,).
-
-        The duration is half a limit.
-        """
-        excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
-        of_limit = OWN_SHARE * 2.0 * longer_than_ns
-        return self._count((excess_ns > longer_than_ns) & (net_ns > of_limit))
+        """Count the delays that exceed their base time by more than half a limit, by round (R,)."""
+        if longer_than_ns not in self._stalls:
+            excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+            of_limit = OWN_SHARE * 2.0 * longer_than_ns
+            chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
+            self._stalls[longer_than_ns] = self._count(chosen)
+        return self._stalls[longer_than_ns]
 
     def _count(self, chosen: Flags) -> Ints:
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
@@ -135,8 +138,8 @@ def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Del
     """
     timed = ~np.isnan(total_ns)
     repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
-    knows_waits = not np.isnan(waited_ns).any()
-    net_ns = total_ns - waited_ns if knows_waits else total_ns
+    has_waits = not np.isnan(waited_ns).any()
+    net_ns = total_ns - waited_ns if has_waits else total_ns
     rounds, index = np.unique(repeat, return_inverse=True)
     middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
@@ -155,5 +158,5 @@ def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Del
         delay_ns=total_ns[delayed],
         own_ns=base[delayed],
         net_ns=net_ns[delayed],
-        knows_waits=knows_waits,
+        has_waits=has_waits,
     )

@@ -104,7 +104,7 @@ def report_late_timings(
     """Return findings on the single timings of runs, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
     by_kind: dict[Cause | Doubt, list[LateTimings]] = grouped(
-        found, lambda one: one.kind if one.proven else _DOUBTFUL[one.kind]
+        found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
     )
     findings = []
     for kind, of_kind in by_kind.items():

@@ -15,7 +15,7 @@ from dpbench.analysis.verdict.lateness import (
     PROVEN,
     LateTimings,
     Machine,
-    adjust,
+    adjust_p_values,
     estimate_machine,
 )
 from dpbench.analysis.verdict.requirements import Requirements
@@ -217,10 +217,10 @@ def test_delays_know_waits_where_all_are_recorded() -> None:
         }
     )
     delays = dict(delays_by_run(steps))
-    assert [one.knows_waits for one in delays.values()] == [True, False]
+    assert [one.has_waits for one in delays.values()] == [True, False]
     assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
     assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
-    assert delays["a"].gross().net_ns.tolist() == [50.0]
+    assert delays["a"].without_waits.net_ns.tolist() == [50.0]
     assert delays["a"].base_ns.tolist() == [30.0, 30.0]
 
 
@@ -242,7 +242,7 @@ def test_a_delay_is_late_if_a_tenth_of_the_limit_is_its_own(
     assert delays.count_late(100.0).tolist() == [0, late]
     assert delays.count_late(101.0).tolist() == [0, 0]
     assert delays.count_stalls(50.0).tolist() == [0, stalls]
-    assert delays.gross().count_late(100.0).tolist() == [0, 1]
+    assert delays.without_waits.count_late(100.0).tolist() == [0, 1]
 
 
 def test_a_hard_step_is_late_by_itself() -> None:
@@ -280,7 +280,7 @@ def test_p_values_are_adjusted_together(records: Any) -> None:
     records.replay("daqp")
     (run,) = records.view().runs
     tests = [LateTimings("late timings", run, 1, 10, 0.0, p) for p in (0.02, 3e-4, 0.9)]
-    first, second, _ = adjusted = adjust(tests)
+    first, second, _ = adjusted = adjust_p_values(tests)
     assert [test.p for test in adjusted] == pytest.approx([0.04, 9e-4, 0.9])
     assert second.p <= PROVEN < first.p <= DOUBTFUL
-    assert second.proven and not first.proven
+    assert second.is_proven and not first.is_proven
