@@ -1,9 +1,9 @@
 """Accuracy and control of the same configurations in two runs, as far as no clock enters them.
 
-A deterministic solver repeats them bit for bit, so there is nothing to estimate: what differs by
-more than the margin, beyond what the replay rounds of one run differ among themselves, differs.
-Where a time limit stopped a run or an answer, the figures of the whole run depend on the clock and
-are not comparable; accuracy is compared on the steps before that.
+A deterministic solver repeats them bit for bit, so nothing is estimated: a figure differs by more
+than the margin, beyond what the replay rounds of one run differ among themselves, or not. Where a
+time limit stopped a run or an answer, the figures of the whole run are not comparable; accuracy
+is compared on the steps before that.
 """
 
 from __future__ import annotations
@@ -37,10 +37,7 @@ BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure of a run: its column, whether less of it is better, what counts as zero.
-
-    `relative` says that a change counts beyond the margin, else that any change does.
-    """
+    """Figure of a run; a `relative` change counts beyond the margin, else any change does."""
 
     column: str
     head: str
@@ -66,7 +63,7 @@ DONE = Measure("steps_done", "steps done", False, False, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """One figure of a pair: its range over the rounds of either run, and what became of it."""
+    """One figure of a pair, its range over the rounds of either run, and its change."""
 
     pair: Pair
     measure: Measure
@@ -76,7 +73,7 @@ class Answer:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Identity, figure, ranges in A and B and what became of it, for a table."""
+        """Identity, figure, ranges in A and B and change, for a table."""
         return key_of(self.pair.a) | {
             "figure": self.measure.column,
             "a_low": self.a[0],
@@ -88,7 +85,7 @@ class Answer:
 
 
 def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
-    """Every figure of every pair; a pair whose outcome changed is judged by that."""
+    """Compare every figure of every pair; a pair whose outcome changed is judged by that."""
     return [
         Answer(
             pair,
@@ -103,7 +100,7 @@ def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float
 
 
 def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range, bool]]:
-    """Every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
+    """Yield every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
@@ -136,7 +133,7 @@ def _point(value: float) -> Range:
 
 
 def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
-    """What became of a figure; two missing ones are the same, one that went missing is worse."""
+    """Classify a change; two missing figures are the same, one that went missing is worse."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
         return "same" if missing_a and missing_b else "worse" if missing_b else "better"
@@ -155,18 +152,17 @@ _STEPS = (
 
 
 def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
-    """The counting steps of a run; none of a folder without steps."""
     return records.counting_steps(run, _STEPS)
 
 
 def _before_time_limit(steps: pd.DataFrame) -> float:
-    """The first step whose answer its solver's own time limit cut short; infinite without one."""
+    """Return the first step whose answer was cut short by the solver's time limit, or inf."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
 
 
 def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
-    """Least and largest over the counting rounds of each figure, on the first `common` steps."""
+    """Return the extremes over the counting rounds of each figure, on the first `common` steps."""
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}

@@ -39,7 +39,7 @@ _MEDIAN_VARIANCE = np.pi / 2
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a noise before the data: its standard deviation (log), its weight in df."""
+    """Noise assumed before the data: its standard deviation (log), its weight in df."""
 
     sd: float
     df: float
@@ -57,7 +57,7 @@ is wider."""
 
 @dataclass(frozen=True)
 class Assessment:
-    """What two runs say of one ratio.
+    """Assessment of one ratio between two runs.
 
     Parameters
     ----------
@@ -76,10 +76,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Estimated log ratios, (N,) each: `effect` after `machine` was taken out, its error, its df.
-
-    `effect` + `machine` is what was measured.
-    """
+    """Estimated log ratios (N,): `effect` + `machine` was measured; the effect's error and df."""
 
     effect: Floats
     machine: Floats
@@ -139,8 +136,7 @@ def remove_reference_factor(
 
     Parameters
     ----------
-    reference : (N,) where the reference stands among the ratios; −1 for none, which leaves nothing
-        known of the ratio.
+    reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
     labels, rows = np.asarray(groups), np.arange(len(logs))
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
@@ -178,7 +174,7 @@ def _spread(
 
 
 def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
+    """Assess each ratio; all verdicts hold together at family-wise error `alpha`.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two

@@ -1,4 +1,4 @@
-"""Pair the cells of two result folders: the same question, asked in both."""
+"""Pairs of cells of two result folders with the same configuration on the same problem."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ class Pair:
 
     @property
     def label(self) -> str:
-        """The configuration, with both versions and builds of its solver where one of them
-        differs."""
+        """The configuration, with both versions and builds of its solver where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
         return self.a.configuration.label_of(f"{self.a.solver}{versions}")
@@ -34,8 +33,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """The pairs of two folders, and as text the cells without a partner, those whose problem
-    changed, and those that the harness lost in either."""
+    """Pairs of two folders; as text the cells without a partner, changed, or lost in either."""
 
     pairs: list[Pair]
     only_a: list[str]
@@ -45,7 +43,7 @@ class Pairs:
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """In what two machines differ, as their descriptions say; none for one machine."""
+    """List in what two machines differ by their descriptions; nothing for one machine."""
     if a["id"] == b["id"]:
         return []
     differ = [name for name in LASTING if a.get(name) != b.get(name)]
@@ -55,8 +53,7 @@ def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Pair the cells of two folders.
 
-    A cell that was refused in both is left out; one whose problem changed under the same name
-    (another scenario file) has no partner.
+    A cell refused in both is left out; one whose problem changed under its name has no partner.
 
     Raises
     ------
@@ -82,7 +79,7 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
 
 
 def key_of(run: RunRecord) -> dict[str, Any]:
-    """The columns of `KEY` of a run."""
+    """Return the columns of `KEY` of a run."""
     return {column: getattr(run, column) for column in KEY}
 
 
@@ -98,5 +95,5 @@ def _name(run: RunRecord) -> str:
 
 
 def problem_of(run: RunRecord) -> tuple[object, ...]:
-    """Return what else cells of the same question share, as far as their descriptions tell."""
+    """Return what else cells of one problem share, as far as their descriptions tell."""
     return run.files, run.source, run.first, run.fallback, run.backup

@@ -1,4 +1,4 @@
-"""Solvers over their releases: the same configuration on the same problem, version by version."""
+"""Solver releases compared: one configuration on one problem, version by version."""
 
 from __future__ import annotations
 
@@ -67,18 +67,18 @@ class Release:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The releases of a solver in one configuration on one problem, the oldest first."""
+    """Releases of a solver in one configuration on one problem, the oldest first."""
 
     releases: Sequence[Release]
 
     @property
     def run(self) -> RunRecord:
-        """A run of it, for what all of them share."""
+        """One of its runs, for what all of them share."""
         return next(iter(self.releases[0].runs.values()))
 
     @property
     def changed(self) -> bool:
-        """Whether there are several versions."""
+        """True if there are several versions."""
         return len(self.releases) > 1
 
     def change(self, i: int) -> float:
@@ -86,7 +86,7 @@ class History:
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
     def load_change(self, i: int) -> float:
-        """The load kernel, timed in the same rounds, likewise: what else ran on the machine."""
+        """Return that ratio of the load kernel, timed in the same rounds: other load."""
         return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
@@ -115,18 +115,18 @@ class Histories:
 
 
 def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """The releases of every configuration and problem that two folders have.
+    """Return the releases of every configuration and problem that two folders have.
 
     Parameters
     ----------
-    folders : by the name each is to be called.
-    reference : the solver by whose p50 times are divided. Folders of two machines always are: by
-        default by the first of `times.REFERENCES` that all of them timed.
+    folders : by name.
+    reference : the solver whose p50 divides all times. Folders of two machines always have one: by
+        default the first of `times.REFERENCES` that all of them timed.
 
     Raises
     ------
-    InputError : without a reference that all folders timed, where one is needed; where no two
-        folders have a cell in common.
+    InputError : where a reference is needed and was not timed in all folders; where no two folders
+        have a cell in common.
     """
     machines = {records.machine["id"] for records in folders.values()}
     solver = _choose_reference_solver(folders, reference) if reference or len(machines) > 1 else ""
@@ -171,7 +171,7 @@ def _timed(records: Records) -> Iterator[RunRecord]:
 
 
 def _units(records: Records, solver: str) -> Mapping[str, float] | None:
-    """What times are divided by, by problem: the p50 of the most usual run of the reference."""
+    """Return the p50 of the reference's most usual run, by problem; None without a reference."""
     if not solver:
         return None
     runs = sorted((r for r in _timed(records) if r.solver == solver), key=usualness, reverse=True)
@@ -205,7 +205,7 @@ def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> floa
 
 
 def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None]) -> Iterator[float]:
-    """How far the folders of one version lie apart."""
+    """Yield the ratio of the folders' largest and least p50 of each version."""
     for release in history.releases:
         times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
         if len(times) > 1 and all(map(math.isfinite, times)):
@@ -213,12 +213,12 @@ def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None])
 
 
 def _per_round(run: RunRecord, count: float) -> float:
-    """A count over all rounds of a replay, for one of them; a loop has one."""
+    """Return a count over all rounds of a replay as one per round; a loop has one round."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
 def _order(version: str) -> tuple[Any, ...]:
-    """Sort key: releases by number, what has none before them."""
+    """Sort key: releases by number, those without one first."""
     try:
         return True, Version(version.partition(" ")[0]), version
     except InvalidVersion:
@@ -234,8 +234,11 @@ FIGURES = ("p50", "p99", "largest", "error")
 
 
 def release_table(histories: Histories, most: int) -> pd.DataFrame:
-    """Of each solver its most usual configuration on each of the first `most` replayed problems: a
-    row per version, label, age (0 of the newest, else 1), problem and `FIGURES`."""
+    """Return the releases of each solver on each of the first `most` replayed problems.
+
+    Its most usual configuration: a row per version, label, age (0 of the newest, else 1), problem
+    and `FIGURES`.
+    """
     chosen: dict[tuple[str, str], History] = {}
     for history in sorted(histories.all, key=lambda history: not history.changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):

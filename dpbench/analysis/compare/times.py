@@ -1,5 +1,4 @@
-"""Step times of the same configurations in two runs: one ratio per configuration and sequence, with
-its own noise."""
+"""Step times of the same configurations in two runs: one ratio each, with its own noise."""
 
 from __future__ import annotations
 
@@ -47,7 +46,7 @@ LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
 times feel, measured in the same runs (0.5 to 0.6), and how far that differs from configuration to
 configuration."""
 LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
-"""What all configurations together feel of a change of the load kernel that the reference kernel
+"""Share that all configurations together feel of a change of the load kernel that the reference kernel
 does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be
 off."""
 
@@ -58,9 +57,14 @@ sets without a library below them, so that a build matters least."""
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """log(B/A) of one configuration on one sequence, its standard error from inside the runs, its
-    sizes, the median step in either run [ns]; of each step in both runs `k`, and `a_ns`, `b_ns`,
-    the minima over as many rounds: none where a folder has no steps."""
+    """log(B/A) of one configuration on one sequence, from the minima over as many rounds of each.
+
+    Parameters
+    ----------
+    own : standard error from inside the runs.
+    median_ns : the median step in A and in B [ns].
+    k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
+    """
 
     pair: Pair
     log: float
@@ -80,7 +84,7 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A timing with its verdict."""
+    """Timing with its assessment."""
 
     timing: Timing
     assessment: Assessment
@@ -106,7 +110,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Shared:
-    """All configurations of a sequence together.
+    """Factor that all configurations of a sequence share.
 
     Parameters
     ----------
@@ -126,7 +130,7 @@ class Shared:
 
 
 def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
-    """The timings of all replayed pairs that have one."""
+    """Return the timings of all replayed pairs that have one."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
@@ -135,16 +139,16 @@ def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
 
 
 def _identity(timing: Timing) -> tuple[object, ...]:
-    """Settings without effect are one run under several names, and one piece of evidence."""
+    """Return a key without the settings' name: those without effect are one run, one evidence."""
     unnamed = key_of(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
 def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
+    """Return why the reference kernel cannot stand for the machine, by sequence; "" if it can.
 
-    A kernel feels only some of what a solver feels of a busy machine, so both runs must have
-    called theirs quiet while they timed the sequence.
+    A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
+    quiet while they timed the sequence.
     """
     known = disturbed_sequences(a), disturbed_sequences(b)
     reasons = {}
@@ -164,8 +168,9 @@ def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str,
 
 
 def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
-    """The solver that two machines are compared by: the one asked for, of `REFERENCES`, or the one
-    that both timed on the most sequences; "" where nothing was timed in both.
+    """Return the solver that two machines are compared by; "" where both timed none.
+
+    It is the one asked for, else one of `REFERENCES`, else the one timed on the most sequences.
 
     Raises
     ------
@@ -181,9 +186,9 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
 
 
 def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
-    """(N,) where the timing of the reference solver on the same sequence stands; −1 for none.
+    """Return (N,) the index of the reference solver's timing on the same sequence; −1 for none.
 
-    Of several the most usual: default settings, each step from nothing, in scaled units.
+    Of several the most usual, see `usualness`.
     """
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
@@ -201,11 +206,11 @@ def usualness(run: RunRecord) -> tuple[Any, ...]:
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[Compared]:
-    """Verdicts on the ratios to a reference solver, which says what the machine did to all.
+    """Assess the ratios to a reference solver, which shows the change of the machine.
 
     Parameters
     ----------
-    rows : (N,) as of `reference_rows`; what they name is the measure and has no verdict.
+    rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """
     groups = [t.problem for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
@@ -219,18 +224,19 @@ def compare_to_reference(
 
 
 def _which(of: Sequence[bool]) -> str:
-    """Which of two runs, with its verb."""
+    """Return which of two runs, with its verb."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[Compared], list[Shared]]:
-    """Verdicts on the configurations and on what they share: one family of claims.
+    """Assess the configurations and what they share: one family of claims.
 
-    `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
-    what the configurations share is not judged, nor are configurations that have only that kernel
-    to be held against.
+    Parameters
+    ----------
+    unjudged : see `why_unjudged`; such a sequence has no assessment of what its configurations
+        share, nor of those that have only the reference kernel to be compared with.
     """
     groups = [t.problem for t in timings]
     labels = np.asarray(groups)
@@ -280,17 +286,16 @@ class _Machine:
 
     @property
     def beyond(self) -> float:
-        """What the load kernel shows and the reference kernel does not; 0 where it is unknown."""
+        """Excess of the load kernel over the reference kernel; 0 where it is unknown."""
         return self.load - self.kernel if np.isfinite(self.load) else 0.0
 
     @property
     def expected(self) -> float:
-        """The factor of the step times they lead to expect."""
+        """Log factor of the step times that the kernels lead to expect."""
         return self.kernel + LOAD_WEIGHT * self.beyond
 
     def error_of(self, configurations: Floats) -> float:
-        """How far that may be off the median of configurations that have the errors
-        `configurations`."""
+        """Return its error against the median of configurations with these errors."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
         return float(
             np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
@@ -298,8 +303,7 @@ class _Machine:
 
 
 def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
-    """(N,) log(B/A) of the load kernel in a configuration's worker less the median over its
-    sequence.
+    """Return (N,) log(B/A) of a configuration's load kernel less the median over its sequence.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
@@ -313,20 +317,20 @@ def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
 
 
 def _logs(timings: Sequence[Timing], column: str) -> Floats:
-    """(N,) log(B/A) of a column of times."""
+    """Return (N,) log(B/A) of a column of times."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
 def _machine(timings: Sequence[Timing]) -> _Machine:
-    """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
+    """Return the kernels of one sequence, timed in every worker; NaN where a folder has none."""
     columns = (_logs(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
     return _Machine(*(median(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
-    """(rounds, steps) times [ns] of the rounds that count."""
+    """Return the times (rounds, steps) [ns] of the rounds that count."""
     counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
         return None
@@ -338,7 +342,7 @@ def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
 
 
 def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
-    """By the medians that `runs.parquet` has; nothing there tells their error."""
+    """Compare the medians in `runs.parquet`, which have no known error."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
         return None
@@ -374,14 +378,11 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
 
 
 def _variance(times: Floats) -> float:
-    """Variance of a run's mean log minimum time: the jackknife over consecutive parts of rounds.
+    """Return the variance of a run's mean log minimum time (rounds, steps): a jackknife.
 
-    What is left out is a part, not what is kept: a stretch of slow rounds leaves the minimum over
-    the others where it was, and a minimum that one part alone reached is not to be relied on.
-
-    Parameters
-    ----------
-    times : (rounds, steps); a single round says nothing, which leaves the noise between runs.
+    A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the
+    minimum over the others unchanged, and one reached in a single part is not reliable. A single
+    round has 0.
     """
     parts = min(PARTS, len(times))
     if parts < 2:

@@ -10,7 +10,7 @@ Key = TypeVar("Key")
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """The items of each key; keys and items in the order in which they come."""
+    """Group items by key, keys and items in the order in which they come."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -18,7 +18,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 
 def firsts(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
-    """The first item of each key."""
+    """Return the first item of each key."""
     first: dict[Key, Item] = {}
     for item in items:
         first.setdefault(key(item), item)

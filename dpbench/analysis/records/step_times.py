@@ -13,7 +13,6 @@ from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.recorded_steps import places_of
 
 TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
-"""What `times_by_run` asks of a step table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class StepTimes:
 
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Those of every run of a table that left a counting row."""
+    """Yield the step times of every run of a table that left a counting row."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
         yield run_id, step_times_of(repeat, k, total_ns)
 
@@ -43,7 +42,7 @@ def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
 def _counting_rows(
     steps: pd.DataFrame, *times: str
 ) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
-    """Run, round, step and some times [ns] of the rows (N,) of each run that count."""
+    """Yield run, round, step and some times [ns] of the rows (N,) of each run that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
@@ -53,7 +52,7 @@ def _counting_rows(
 
 
 def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
-    """Step times of the rows (N,) of one replay that count: their round, step and time."""
+    """Return the step times of the counting rows (N,) of one replay."""
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, total_ns)
     done = np.flatnonzero(np.isfinite(best))
@@ -62,7 +61,6 @@ def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
 
 
 DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
-"""What `delays_by_run` asks of a step table."""
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
 OWN_SHARE = 0.1
@@ -132,7 +130,7 @@ def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
 
 
 def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
-    """Delays of the rows (N,) of one run that count: their round, step, time and wait [ns].
+    """Return the delays of the counting rows (N,) of one run, times and waits in ns.
 
     Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
     """

@@ -17,14 +17,13 @@ from dpbench.bench.record.qp_source import CapabilitySource
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver said of a batch of static allocations.
+    """Answers of a solver to a batch of static allocations.
 
     Parameters
     ----------
-    solver, outcome : of `runs.parquet`.
-    asked : QPs it should have answered; feasible, infeasible : how many it was given of each.
+    asked : QPs of the batch; feasible, infeasible : how many of each it reached.
     balanced : claimed optima that are true; refused : infeasible ones rightly called so.
-    wrong : untrue claims of either kind; the rest it said nothing of.
+    wrong : untrue claims of either kind.
     p50_ns, max_ns : of its step times; NaN without any.
     """
 
@@ -46,7 +45,7 @@ class Answers:
 
     @property
     def all_right(self) -> bool:
-        """Whether every answer is right."""
+        """True if every answer is right."""
         return self.right == self.asked
 
     @property
@@ -56,20 +55,20 @@ class Answers:
 
 
 def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """The answers of each run, most right ones first, then the fastest."""
+    """Return the answers of each run, most right ones first, then the fastest."""
     answers = [_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A capability plot, and who answers rightly at its edge.
+    """Capability plot, and the answers at its edge.
 
     Parameters
     ----------
-    vessel, sides : the ship, and the polygons of its QPs.
+    sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
-    answers : the best configuration of each solver; empty where nobody was asked.
+    answers : the best configuration of each solver; empty where none was run.
     """
 
     vessel: str
@@ -89,8 +88,7 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
-    """The plots of a result folder, in the order of its suite; of one that could not be made there
-    is none.
+    """Return the plots of a result folder, in the order of its suite.
 
     Parameters
     ----------
@@ -116,7 +114,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
 
 
 def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
-    """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
+    """Return the columns `EDGES` of the rows of one plot in `capability.parquet`."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))

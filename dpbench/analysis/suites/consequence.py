@@ -24,21 +24,19 @@ from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percen
 from dpbench.scenario.scenario import scenario_once
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
-"""What is proven of the loss of a group at a sample."""
+"""Proven states of the loss of a group at a sample."""
 SPAN = ("group", "from_s", "to_s", "state")
 
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """What one configuration said of all QPs of a consequence analysis.
+    """Answers of one configuration to all QPs of a consequence analysis.
 
     Parameters
     ----------
-    solver, name : the solver, and the configuration.
-    feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
+    asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
-    missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
-        them.
+    missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
     p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
         where a group was not run to its end.
     """
@@ -62,17 +60,16 @@ class BatchAnswers:
 
     @property
     def all_right(self) -> bool:
-        """Whether every answer is right."""
+        """True if every answer is right."""
         return self.held + self.refused == self.asked
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """One consequence analysis.
+    """Consequence analysis of one run's failure `groups`.
 
     Parameters
     ----------
-    name : of the run; groups : its failure groups.
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
     """
@@ -84,12 +81,12 @@ class Analysis:
 
     @property
     def best(self) -> dict[str, BatchAnswers]:
-        """The best configuration of each solver, by its name."""
+        """Best configuration of each solver, by its name."""
         return firsts(self.answers, lambda answers: answers.solver)
 
 
 def consequence_analyses(records: Records) -> list[Analysis]:
-    """Those of the records that have a step, in the order of the suite."""
+    """Return the analyses that have a step, in the order of the suite."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
     batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
@@ -112,7 +109,7 @@ def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysi
 
 
 def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Columns `SPAN` of one group, neighbours of one state joined."""
+    """Return the columns `SPAN` of one group, neighbours of one state joined."""
     steps = (
         records.counting_steps(run, ("k", "t_s", "certificate"))
         .drop_duplicates("k")
@@ -130,7 +127,7 @@ def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
 def _answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """The answers of one configuration, a run for each group."""
+    """Return the answers of one configuration, a run for each group."""
     of_runs = [_counts(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
@@ -146,7 +143,7 @@ def _answers(
 
 
 def _counts(steps: pd.DataFrame) -> pd.Series[int]:
-    """Feasible, infeasible, held, refused, missed and untrue of one run."""
+    """Count feasible, infeasible, held, refused, missed and untrue of one run."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
     always = pd.DataFrame(
@@ -170,7 +167,7 @@ def _counts(steps: pd.DataFrame) -> pd.Series[int]:
 
 
 def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Time of the batch at each sample (K,), the sum over the groups; empty where one has a gap."""
+    """Return the time of the batch at each sample (K,) [ns]; empty where a group has a gap."""
     times = [records.times(run) for run in runs]
     timed = [known.algo_ns for known in times if known is not None]
     steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
@@ -181,13 +178,13 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
 
 
 def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
-    """The answers of each configuration that was run in every analysis, by its name."""
+    """Return the answers of each configuration that was run in every analysis, by its name."""
     answers = [own for analysis in analyses for own in analysis.answers]
     by_name = grouped(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
 def largest_share(answers: Sequence[BatchAnswers]) -> float:
-    """The largest share of a sample of some analyses; NaN where one is not known."""
+    """Return the largest share of a sample of some analyses; NaN where one is not known."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

@@ -28,7 +28,7 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of the steps of some cells.
+    """Counts of the steps of some cells.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ class Tally:
 
 
 class RandomClaims:
-    """The steps of all random sequences with what they count as.
+    """Classified steps of all random sequences.
 
-    `runs` are those that were not refused, each once: settings without effect, one run shown
-    under several names, stand as one run with all of them in `settings`.
+    `runs` are those that were not refused, each once: settings without effect, one run shown under
+    several names, are one run with all of them in `settings`.
     """
 
     def __init__(self, records: Records) -> None:
@@ -73,7 +73,7 @@ class RandomClaims:
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Tallies by the values of some columns of the runs."""
+        """Return tallies by the values of some columns of the runs."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
@@ -91,16 +91,15 @@ def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _figures(runs: Sequence[RunRecord]) -> str:
-    """Times never repeat to the nanosecond, so equal ones are those of one run."""
+    """Return a key of a run: times never repeat to the nanosecond."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
 CLAIMS = ("status", "certificate", "claimed", "true")
-"""What `classify_steps` asks of steps."""
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
+    """Count the steps of each run by `classify_steps`, by run_id."""
     return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 

@@ -16,7 +16,7 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True, eq=False)
 class DelayedConfiguration:
-    """A configuration on slower and slower computers: `loops` by slow-down, rising."""
+    """Configuration on slower and slower computers: `loops` by slow-down, rising."""
 
     configuration: Configuration
     loops: dict[float, RunRecord]
@@ -39,7 +39,7 @@ class DelayedGroup:
 
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
-    """The loops on slow computers by scenario, configurations that survive most first."""
+    """Group the loops on slow computers by scenario; configurations that survive most first."""
     groups = grouped(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
     return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
 

@@ -1,8 +1,8 @@
 """Contrasts on the same QPs: routes, settings, formulations, and two solvers.
 
-Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native reuse,
-native warm: the first step down is what the wrapper costs, the second what a kept workspace gains,
-the third what a warm start gains.
+Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native
+reuse, native warm: the first step is the cost of the wrapper, the second the gain of a kept
+workspace, the third that of a warm start.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 
 RoutePolicy = tuple[str, str]
-"""Route and policy."""
 
 WRAPPED, NATIVE, KEPT, WARM = (
     ("qpsolvers", "fresh"),
@@ -39,12 +38,12 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
     WARM: (KEPT, NATIVE),
     WRAPPED_WARM: (WRAPPED,),
 }
-"""The neighbours a route is compared with: the first that was measured."""
+"""Neighbours a route is compared with: the first that was measured."""
 
 
 @dataclass(frozen=True)
 class RouteGain:
-    """A route of a solver at one settings level, against its neighbour `above`.
+    """Route of a solver at one settings level, against its neighbour `above`.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
 def _gains(
     times: Mapping[RoutePolicy, StepTimes],
 ) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
-    """Neighbour, route, gain and median of each route that has a neighbour and common steps."""
+    """Yield neighbour, route, gain and median of each route with a neighbour and common steps."""
     for route, own in times.items():
         above = next((above for above in ABOVE.get(route, ()) if above in times), None)
         if above is not None:
@@ -93,7 +92,7 @@ def _gains(
 
 
 def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
-    """The settings levels at which each solver is right on every step, the most usual first."""
+    """Return the levels at which each solver is right on every step, the most usual first."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels_of = {
         solver: grouped(own, lambda run: run.settings)
@@ -108,8 +107,10 @@ def right_levels(records: Records, requirements: Requirements) -> dict[str, list
 
 
 def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
-    """How often each formulation has the least median step time, of the configurations that are
-    right on a sequence in two at least."""
+    """Count how often each formulation has the least median step time.
+
+    Of the configurations that are right on a sequence in two at least.
+    """
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
@@ -123,7 +124,7 @@ def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
 def common_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Timed replays of a solver that another has done in the same call mode; both step times."""
+    """Yield timed replays of two solvers in the same call mode, with both step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

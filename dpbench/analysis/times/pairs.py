@@ -18,7 +18,7 @@ from dpbench.arrays import Floats
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Two configurations on the same steps: how many times as long `second` takes as `first`.
+    """Times of two configurations on the same steps, as a ratio second/first.
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     """
@@ -31,17 +31,17 @@ class PairedComparison:
 
     @property
     def tied(self) -> bool:
-        """Whether the two cannot be told apart."""
+        """True if the two cannot be told apart."""
         return self.ratio.spans(1.0)
 
     @property
     def unstable(self) -> bool:
-        """Whether another yardstick names another leader."""
+        """True if another yardstick names another leader."""
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
     @property
     def row(self) -> dict[str, Any]:
-        """Who, the ratio and its interval, and what is said of it, for a table."""
+        """Names, ratio with its interval, and its assessment, for a table."""
         r = self.ratio
         row: dict[str, Any] = {"first": self.first, "second": self.second}
         row |= {"ratio": r.value, "low": r.low, "high": r.high, "steps": self.steps}
@@ -49,7 +49,7 @@ class PairedComparison:
 
 
 def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
-    """Algorithmic times of the steps that both configurations have done."""
+    """Return the algorithmic times of the steps that both configurations have done."""
     if np.array_equal(first.k, second.k):
         return first.algo_ns, second.algo_ns
     _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
@@ -57,23 +57,30 @@ def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
 
 
 def common_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
-    """How many times as long the second of each pair takes as the first, on the steps that both
-    have done, each pair of equal weight; unknown where there are none."""
+    """Return the ratio second/first on the steps that both of each pair have done.
+
+    Each pair has equal weight; unknown where there are none.
+    """
     common = (paired(first, second) for first, second in replays)
     return pooled_mean([np.log(second / first) for first, second in common if len(first)])
 
 
 def log_reach(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
-    """How far the interval of the ratio of two configurations reaches to either side, as a
-    logarithm; NaN where there is none. Both by the number of the replay."""
+    """Return half the width of the log ratio's interval of two configurations; NaN without one.
+
+    Both by the number of the replay.
+    """
     ratio = common_ratio((first[place], second[place]) for place in first if place in second)
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
-    """Compare two configurations on the steps of the sequences that are `long_enough`, each of
-    equal weight; `first` has the smaller p99, or the smaller largest step where there is none."""
+    """Compare two configurations on the steps of the sequences that are `long_enough`.
+
+    Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
+    there is none.
+    """
     names = first.configuration.label, second.configuration.label
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
@@ -96,9 +103,9 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
 
 
 def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:
-    """Of each solver the configuration that takes least time beside `chosen`, where that is surely
-    less and nothing contradicts the requirements, but the verdict is inconclusive; the fastest
-    first.
+    """Return the fastest inconclusive configuration of each solver, the fastest first.
+
+    Only those surely faster than `chosen`, without anything against the requirements.
     """
     unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]

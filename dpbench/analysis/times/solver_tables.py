@@ -34,13 +34,13 @@ LARGEST_ERROR = 1e3
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """What a configuration is told apart by where a solver stands in a column of its own."""
+    """Return what tells a configuration apart beside the column of its solver."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
 def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
-    """The verdict on every configuration over all its runs; times in µs."""
+    """Return the verdict on every configuration over all its runs; times in µs."""
     return pd.DataFrame(
         [
             {
@@ -122,8 +122,7 @@ def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
 
 
 def tile_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Solver × experiment × settings, of each solver in the call mode of its best configuration, so
-    that of the one to use these are its own experiments."""
+    """Return solver × experiment × settings, in the call mode of its best configuration."""
     best = {v.configuration.solver: v.configuration for v in best_of_each(matrix.verdicts)}
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
@@ -155,8 +154,10 @@ def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
 
 
 def level_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Error and time at each settings level of each solver, in the call mode of its best
-    configuration; no row for an answer beyond `LARGEST_ERROR`."""
+    """Return error and time at each settings level of each solver.
+
+    In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
+    """
     best = (v.configuration for v in best_of_each(matrix.verdicts))
     modes = {c.solver: (c.route, c.policy) for c in best}
     levels = level_points(matrix.records, matrix.records.sequences, modes)
@@ -185,11 +186,11 @@ def _point(
 
 
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
-    """The hardest steps of every run outside studies by each measure; times in µs.
+    """Return the hardest steps of every run outside studies by each measure; times in µs.
 
     Parameters
     ----------
-    kept : what is kept of each run, by its id.
+    kept : by run id.
     """
     labels = {
         run.run_id: matrix.configurations[c].label
@@ -209,16 +210,17 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFr
 
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
-    """How many times as long each solver's best configuration takes as the fastest of them, step
-    by step, with the interval of the mean."""
+    """Return the paired ratio of each solver's best configuration to the fastest of them."""
     timed = fastest_first([v for v in best_of_each(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
 def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """The configurations that were timed, and of any two of them, (0, 1), (0, 2), ... (1, 2), ...,
-    how far the 95 % interval of their paired ratio reaches, see `log_reach`."""
+    """Return the timed configurations, and `log_reach` of any two of them.
+
+    In the order (0, 1), (0, 2), ... (1, 2), ...
+    """
     timed: dict[int, dict[int, StepTimes]] = {}
     for (c, p), run in matrix.runs.items():
         if (
@@ -231,14 +233,13 @@ def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 
 @dataclass(frozen=True)
 class LevelPoint:
-    """A configuration, at one settings level of its solver, over all sequences.
+    """Configuration at one settings level of its solver, over all sequences.
 
     Parameters
     ----------
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
         so that both are of the same steps; where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
-    failed : failed steps.
     """
 
     configuration: Configuration
@@ -251,13 +252,12 @@ class LevelPoint:
 def level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Per solver its points in one call mode, so that a line joins settings alone, the most usual
-    first.
+    """Return the points of each solver in one call mode, the most usual settings first.
 
     Parameters
     ----------
     sequences : all of which a configuration was replayed on, or it has no point.
-    modes : of each solver route and policy; one that is not in it has no points.
+    modes : route and policy by solver; one that is not in it has no points.
     """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
     wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]

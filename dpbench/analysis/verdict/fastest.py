@@ -1,7 +1,7 @@
-"""Who is fastest of all verdicts, and which one to use.
+"""Fastest configurations of all verdicts, and the one to use.
 
-To use is the fastest that nothing contradicts and that can go aboard a ship. The fastest of all may
-exist only as this benchmark's own Python code. It is named, and never recommended by itself.
+To use is the fastest that nothing contradicts and that can be deployed. The fastest of all may
+exist only as this benchmark's own Python code; it is named, and never recommended by itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ALIKE = 0.03
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """By p99, those without one by their largest step time, those without time last."""
+    """Sort by p99, those without one by their largest step time, those without time last."""
     return sorted(
         verdicts,
         key=lambda v: (_known(v.p99_ns), _known(v.algo_max_ns), v.configuration.solver),
@@ -35,8 +35,10 @@ def _known(time_ns: float) -> float:
 
 
 def qualifying(verdicts: Verdicts) -> list[Verdict]:
-    """Return the configurations without a finding against them that were timed on the most
-    sequences, the fastest first; of two names of one run the more usual settings."""
+    """Return the configurations that rank, timed on the most sequences, the fastest first.
+
+    Of two names of one run the more usual settings.
+    """
     ranks = [verdict for verdict in verdicts.all if verdict.ranks]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
@@ -44,8 +46,7 @@ def qualifying(verdicts: Verdicts) -> list[Verdict]:
 
 
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """The fastest configuration of one solver, at its most usual settings where others are hardly
-    faster."""
+    """Return the solver's fastest configuration, or more usual settings hardly slower."""
     return next((v for v in ranked_qualifying(verdicts) if v.configuration.solver == solver), None)
 
 
@@ -56,7 +57,7 @@ def ranked_qualifying(verdicts: Verdicts) -> list[Verdict]:
 
 
 def _most_usual(own: Sequence[Verdict]) -> Verdict:
-    """Of one solver's verdicts, the fastest first: the most usual settings that are as fast."""
+    """Return the most usual settings that are as fast as a solver's fastest, the first."""
     best = own[0]
     alike = [
         verdict
@@ -69,8 +70,10 @@ def _most_usual(own: Sequence[Verdict]) -> Verdict:
 
 
 def _rounds_overlap(a: Verdict, b: Verdict) -> bool:
-    """Whether a round of either was as slow as one of the other: by chance the least of a few
-    rounds may then be lower for the slower one."""
+    """Return whether a round of either was as slow as one of the other.
+
+    The least of a few rounds may then be lower for the slower one by chance.
+    """
     return a.rounds_ns[0] <= b.rounds_ns[1] and b.rounds_ns[0] <= a.rounds_ns[1]
 
 
@@ -84,13 +87,13 @@ def _figure(verdict: Verdict) -> float:
 
 @dataclass(frozen=True)
 class SolverChoice:
-    """The solver to use, by the results of one folder.
+    """Solver to use, by the results of one folder.
 
     Parameters
     ----------
-    chosen : the fastest configuration that can be deployed; None where nobody qualifies.
+    chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
-    faster : the fastest of all, where that is another one; `because` says why it is not chosen.
+    faster : the fastest of all, where that is another one; `because` is why it is not chosen.
     """
 
     chosen: Verdict | None
@@ -116,7 +119,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
 
 
 def known_record(solver: str) -> SolverRecord | None:
-    """The record of a solver; None for one that this installation does not know."""
+    """Return the record of a solver; None for one that this installation does not have."""
     try:
         return record(solver)
     except UnknownNameError:
@@ -124,7 +127,7 @@ def known_record(solver: str) -> SolverRecord | None:
 
 
 def family_of(solver: str) -> str:
-    """The family of methods a solver belongs to; "not stated" of one that is not known here."""
+    """Return the family of methods of a solver; "not stated" of one that is not known here."""
     return str(getattr(known_record(solver), "family", "not stated"))
 
 
@@ -137,8 +140,8 @@ def deployment_blocker(solver: str) -> str:
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """Return the configuration that shows each solver, the best state first, then by time.
 
-    It is one of the solver's best state: the one of `ranked_qualifying`, else its reference, else
-    the fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
+    It is one of the solver's best state: that of `ranked_qualifying`, else its reference, else the
+    fastest. Where some were run in both modes, those without a loop or a replay do not count.
     """
     fastest = {verdict.configuration.solver: verdict for verdict in ranked_qualifying(verdicts)}
     chosen = []

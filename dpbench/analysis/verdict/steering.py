@@ -1,4 +1,4 @@
-"""Solvers of controllers that steer thrusters, beside those of three forces in the same suite."""
+"""Solvers of controllers that command thrusters, beside those of three forces."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Fault = Literal["too late", "wrong", "too late or wrong"]
 
 @dataclass(frozen=True)
 class Steering:
-    """Who passes with thrusters, and with three forces where the suite has both.
+    """Verdicts with thrusters, and with three forces where the suite has both.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Steering:
 
     @property
     def only_with_forces(self) -> list[str]:
-        """Those of them that fail, or are late, with thrusters."""
+        """Those of `fine_with_forces` that fail, or are late, with thrusters."""
         return [s for s in self.fine_with_forces if self.with_thrusters[s] in MISSED]
 
     @property
@@ -63,13 +63,13 @@ class Steering:
 
 
 def is_about_thrusters(records: Records) -> bool:
-    """Whether thrusters are steered in more than half of the scenarios run in closed loop."""
+    """Return whether most scenarios run in closed loop command thrusters."""
     loops = {run.scenario: run.steers_thrusters for run in records.select(mode="closed_loop")}
     return 2 * sum(loops.values()) > len(loops)
 
 
 def steering_of(records: Records, requirements: Requirements) -> Steering:
-    """Who passes with what is commanded."""
+    """Return the verdicts by what is commanded."""
     of_thrusters = [run for run in records.runs if run.steers_thrusters]
     of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
     verdicts = verdicts_of(records, requirements, of_thrusters)
@@ -83,8 +83,10 @@ def steering_of(records: Records, requirements: Requirements) -> Steering:
 
 @dataclass(frozen=True)
 class ThrusterControlLoops:
-    """The loops that steer thrusters: of each configuration by its name, and `best` of each
-    scenario: of those right to the end that ran farthest, the nearest to the exact loop."""
+    """Loops that command thrusters, by configuration, and the `best` of each scenario.
+
+    The best is right to the end, ran farthest and is nearest to the exact loop.
+    """
 
     best: dict[str, RunRecord]
     configurations: dict[str, list[RunRecord]]
@@ -109,13 +111,13 @@ def thruster_control_loops(records: Records, requirements: Requirements) -> Thru
 
 
 def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
-    """The largest ratio of a metric to that of the best loop, over the scenarios; NaN of none."""
+    """Return the largest ratio of a metric to that of the best loop; NaN of none."""
     beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
     return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
 def lost_late(run: RunRecord) -> list[str]:
-    """Thrusters and groups that a closed loop loses, all in the second half of what was run."""
+    """Return thrusters and groups that a loop loses, all in the second half of its run."""
     scenario = (run.scenario_files or {}).get("scenario", {})
     faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
     if not faults:
@@ -132,12 +134,12 @@ def _states(verdicts: Verdicts) -> dict[str, State]:
 
 
 def _state(own: Sequence[Verdict]) -> State:
-    """The best verdict on some configurations."""
+    """Return the best verdict on some configurations."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 
 def _fault(own: Sequence[Verdict]) -> Fault:
-    """What contradicts the requirements in every configuration that was run."""
+    """Return what contradicts the requirements in every configuration that was run."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds & {*LATE} for kinds in causes):
         return "too late"

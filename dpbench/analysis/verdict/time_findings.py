@@ -30,12 +30,7 @@ that solves in a thread of its own stays below 1."""
 
 @dataclass(frozen=True, eq=False)
 class TimeEvidence:
-    """What a result folder shows of its times as a whole.
-
-    Parameters
-    ----------
-    late : proven and doubtful late timings by run id; uncertainty : of the times.
-    """
+    """Late timings, proven and doubtful, by run id, and uncertainty of a result folder."""
 
     late: Mapping[str, Sequence[LateTimings]]
     uncertainty: Uncertainty
@@ -120,7 +115,7 @@ def judge_times(
     requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Return what the algorithmic times of replays show, and the figures of the verdict."""
+    """Return the findings on the algorithmic times of replays, and figures of the verdict."""
     findings: list[Finding] = []
     figures: list[_Figures] = []
     for run in replays:
@@ -189,7 +184,7 @@ class _Figures:
 def _held_against(
     figures: _Figures, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Hold the times of one replay against the limits, within a factor of uncertainty."""
+    """Compare the times of one replay with the limits, within a factor of uncertainty."""
     run, findings = (figures.run,), list[Finding]()
     if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))

@@ -46,24 +46,21 @@ from dpbench.solvers.record import POLICIES
 
 @dataclass(frozen=True)
 class Verdict:
-    """The assessment of one configuration.
+    """Verdict on one configuration.
 
     Parameters
     ----------
-    causes : why it fails; doubts : what could not be judged.
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
     loops, replays, windows : how many of its runs were judged.
-    steps : the steps with a judged answer.
-    error_move : the largest error of the first move among them.
+    steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : largest p99 of the algorithmic step time, of the replay `p99_run`; a window has the p99
         of the stretch whose hardest steps it holds.
     p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
         the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
-    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings,
-        with what the machine adds.
+    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
@@ -93,19 +90,17 @@ class Verdict:
 
     @property
     def p99_on(self) -> str:
-        """The sequence of `p99_ns`; "" where nothing was timed."""
+        """Sequence of `p99_ns`; "" where nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
     def ranks(self) -> bool:
-        """Whether nothing is said against it, and it is timed: of what the suite never runs,
-        such as closed loops, nobody has to show any."""
+        """True if it is timed and nothing is against it; a kind of run the suite lacks is not."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Why it is inconclusive or borderline: what could not be judged, times near a limit, where
-        it was not run, which kind of run."""
+        """Doubts, times near a limit, gaps and missing kinds of run: why it does not pass."""
         kinds: tuple[tuple[int, Doubt], ...] = (
             (self.loops, "no closed loop"),
             (self.replays + self.windows, "no replay"),
@@ -135,7 +130,7 @@ class Verdicts:
 def verdicts_of(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """The verdicts on all configurations of all solvers, in the order of the suite.
+    """Return the verdicts on all configurations of all solvers, in the order of the suite.
 
     Parameters
     ----------
@@ -163,8 +158,7 @@ def _longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
 
 
 def _reference_first(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
-    """Sort key: a solver's reference is its most usual configuration that ran at all, closed loops
-    and replays both if there is such a one."""
+    """Sort key of a solver's reference: usual settings that ran, both modes, own route."""
     ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
     default = any(run.default_route for run in runs)
@@ -233,23 +227,23 @@ def _state(
 
 
 def detail(run: RunRecord) -> str:
-    """The cause of a run's outcome, in the library's or the harness's words."""
+    """Return the cause of a run's outcome, in the library's or the harness's words."""
     return run.cause or "no reason was recorded"
 
 
 def _count(count: float) -> int:
-    """A count; a missing one is 0."""
+    """Return a count; a missing one is 0."""
     return int(count) if math.isfinite(count) else 0
 
 
 def _evaluated_steps(run: RunRecord) -> int:
-    """Steps with a judged answer; a replay counts those without in each of its rounds."""
+    """Return the steps with a judged answer; a replay counts those without per round."""
     without = _count(run.uncertified) + _count(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))
 
 
 def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Where the reference was run and these runs were not, or not as far."""
+    """Find where the reference was run and these runs were not, or not as far."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
@@ -265,7 +259,7 @@ def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding
 
 
 def _wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
-    """Answers too far from the optimum, and steps without one."""
+    """Find answers too far from the optimum, and steps without one."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
@@ -279,13 +273,13 @@ def _failing(runs: Sequence[RunRecord], requirements: Requirements) -> list[Find
 
 
 def _own_doing(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that the solver ended, or never came back from."""
+    """Find runs that the solver ended, or never came back from."""
     ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
     return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
 
 
 def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that ended early or could not be judged."""
+    """Find runs that ended early or could not be judged."""
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned
