@@ -46,9 +46,8 @@ LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
 times feel, measured in the same runs (0.5 to 0.6), and how far that differs from configuration to
 configuration."""
 LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
-"""Share that all configurations together feel of a change of the load kernel that the reference kernel
-does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be
-off."""
+"""Share that all configurations together feel of a change of the load kernel beyond the reference
+kernel (0.76 to 0.82 in those runs, with a correlation of 0.98), and its error."""
 
 REFERENCES = ("paper_active_set", "daqp")
 """The reference solver between two machines: the first that both have timed. Both are small active

@@ -26,8 +26,8 @@ class Uncertainty:
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
-    is timed once, at a moment that may be like a slow round: the upper quartile of them, as one round
-    may have been disturbed by other work.
+    is timed once, maybe in a slow round: the upper quartile of them, as other work may have
+    disturbed one round.
 
     Parameters
     ----------
