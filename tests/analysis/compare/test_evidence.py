@@ -20,12 +20,6 @@ FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
 
 
-def test_holm_on_a_worked_example() -> None:
-    """Four p-values by hand: 0.01·4, max(0.03·3, …), 0.04·2 raised to it, 0.5·1."""
-    found = holm(np.array([0.04, 0.01, 0.5, 0.03]))
-    assert found == pytest.approx([0.09, 0.04, 0.5, 0.09])
-
-
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=12), st.floats(0.001, 0.5))
 def test_holm_rejects_what_the_step_down_procedure_rejects(p: list[float], alpha: float) -> None:
     """Sorted p-values are rejected one by one as long as p_(i) ≤ α/(n − i), none after a failure.

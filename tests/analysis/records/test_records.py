@@ -43,14 +43,12 @@ def test_disturbed_rounds_do_not_count(records: Any) -> None:
 
 
 def test_a_run_without_counting_rounds_has_no_time(records: Any) -> None:
-    """A replay that got no further than its warm-up has no step time."""
     records.replay("daqp", steps=100, rounds=0)
     view = records.view()
     assert view.times(view.runs[0]) is None
 
 
 def test_the_scenario_comes_from_the_rows(records: Any) -> None:
-    """Limits and sample time are those of the run, not those of a file that may have changed."""
     records.loop("daqp")
     scenario = records.view().scenario("paper")
     assert scenario is not None

@@ -64,7 +64,6 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
 
 
 def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
-    """Of four QPs it saw one."""
     (answer,) = asked(results_of(records, {"osqp": [TRUE]}))
     assert (answer.asked, answer.feasible, answer.infeasible, answer.balanced) == (4, 1, 0, 1)
 

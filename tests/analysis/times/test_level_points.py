@@ -18,9 +18,10 @@ USUAL = dict.fromkeys(("osqp", "whole", "half"), ("qpsolvers", "fresh"))
 def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
     """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
-    records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3)
+    records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3, failed=2)
     (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
     assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
+    assert point.failed == 2
 
 
 def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
@@ -61,7 +62,6 @@ def test_all_points_of_a_solver_are_of_the_way_that_is_asked_for(records: Any) -
 
 
 def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
-    """Times of other QPs are not drawn in the same figure."""
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])

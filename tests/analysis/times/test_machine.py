@@ -113,8 +113,7 @@ def _switching(records: Any, solver: str, a_second: float, step_s: float, own: f
 
 
 def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any) -> None:
-    """A thread in each solve puts a configuration off its core every step; its neighbours are let
-    alone."""
+    """A thread in each solve puts a configuration off its core every step."""
     for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
         _switching(records, solver, 2.0, step_s, 0.0)
     _switching(records, "threads", 2.0, 2e-3, 1.0)

@@ -20,8 +20,7 @@ def _compared(records: Any) -> PairedComparison:
 
 
 def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
-    """Twice as long on 1000 steps and 8 times on 500 is 4 times; 100 steps beside them do not
-    count, as they support no interval. Times without any spread do not either."""
+    """Twice as long on 1000 steps and 8 times on 500 is 4 times."""
     for solver, factors in (("base", (1.0, 1.0, 1.0)), ("other", (2.0, 8.0, 99.0))):
         for (sequence, steps), factor in zip(
             (("paper", 1000), ("calm", 500), ("rough", 100)), factors, strict=True
@@ -33,7 +32,6 @@ def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
 
 
 def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -> None:
-    """Slower on one sequence and faster on the other is no clear order."""
     for solver, medians in (("base", (20.0, 20.0)), ("other", (10.0, 80.0))):
         for sequence, median_us in zip(("paper", "calm"), medians, strict=True):
             records.replay(solver, sequence, steps=400, median_us=median_us, **EXACT)
@@ -44,7 +42,6 @@ def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -
 
 
 def test_only_common_steps_are_compared(records: Any) -> None:
-    """Steps that one of the two has not done say nothing about either, however slow they are."""
     records.replay(
         "base", steps=300, median_us=10.0, slow=dict.fromkeys(range(250, 300), 50.0), **EXACT
     )
@@ -54,7 +51,6 @@ def test_only_common_steps_are_compared(records: Any) -> None:
 
 
 def test_without_a_common_step_nothing_is_compared(records: Any) -> None:
-    """Two solvers on different sequences are told to be incomparable, not tied or ordered."""
     records.replay("base", "paper", steps=40)
     records.replay("other", "calm", steps=40)
     assert _compared(records).steps == 0

@@ -19,8 +19,7 @@ def _matrix(records: Any) -> RunMatrix:
 
 
 def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
-    """Milliseconds of p50, p99, largest step and sample; who was not timed has no rung, and the
-    share of the cost of calling never exceeds the whole."""
+    """Milliseconds of p50, p99, largest step and sample."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
@@ -36,7 +35,6 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
 
 
 def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
-    """The matrix has a tile for each solver, level and experiment, run or not."""
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")

@@ -35,14 +35,12 @@ def only_run(records: Any) -> RunRecord:
 def test_an_error_at_the_requirements_is_right(
     mode: str, error: float, right: bool, records: Any
 ) -> None:
-    """An error equal to the limit passes, in closed loop and in replay."""
     getattr(records, mode)("daqp", error=error)
     assert is_right(only_run(records), REQUIREMENTS) is right
 
 
 @pytest.mark.parametrize(("failed", "right"), [(2, True), (3, False)])
 def test_as_many_failed_steps_as_allowed_are_right(failed: int, right: bool, records: Any) -> None:
-    """A count equal to the limit passes, one more fails."""
     records.loop("daqp", failed=failed)
     assert is_right(only_run(records), REQUIREMENTS) is right
 
@@ -61,7 +59,6 @@ def test_as_many_failed_steps_as_allowed_are_right(failed: int, right: bool, rec
 def test_the_verdict_of_figures_at_the_requirements(
     loop: dict[str, Any], replay: dict[str, Any], state: str, records: Any
 ) -> None:
-    """Figures equal to a limit give no cause against a solver."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
@@ -91,7 +88,6 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
 
 
 def test_a_loop_that_was_cut_survives_nothing(records: Any) -> None:
-    """A loop with a missing step has no cost ratio."""
     records.loop("daqp", done=119, closed_loop_cost=80.0, exact_cost=80.0, limit_violations=0.0)
     assert math.isnan(cost_ratio(only_run(records)))
     assert not survived(only_run(records))

@@ -15,10 +15,9 @@ from dpbench.analysis.verdict.findings import (
     NEAR,
     OWN_DOING,
     STATES,
-    Finding,
     worst_first,
 )
-from dpbench.analysis.verdict.requirements import Requirements, cost_ratio, is_right, survived
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
@@ -31,13 +30,6 @@ def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
     assert (found.kind, found.value, found.steps) == ("failed", 5.0, 0)
     assert math.isnan(found.machine)
     assert worst_first("failed", [], lambda run: 0.0) == []
-
-
-def test_a_finding_without_a_figure() -> None:
-    """It has no run, no steps and no number."""
-    found = Finding("absent")
-    assert (found.runs, found.steps) == ((), 0)
-    assert math.isnan(found.value) and math.isnan(found.machine)
 
 
 def test_verdicts_are_ordered_from_best_to_worst() -> None:
@@ -72,18 +64,6 @@ def test_the_requirements_of_a_suite() -> None:
 def test_a_run_is_right_with_all_steps_and_no_memory(
     records: Any, columns: dict[str, Any], right: bool
 ) -> None:
-    """Every planned step has an answer within the limit that was not remembered."""
     records.loop("daqp", **columns)
     (run,) = records.view().runs
     assert is_right(run, Requirements()) is right
-
-
-@pytest.mark.parametrize(("done", "ratio"), [(119, None), (120, 1.5), (121, 1.5)])
-def test_the_cost_of_a_complete_loop(records: Any, done: int, ratio: float | None) -> None:
-    """Three over two; a loop that was cut has no ratio and did not survive."""
-    columns = {"closed_loop_cost": 3.0, "exact_cost": 2.0, "limit_violations": 0}
-    records.loop("daqp", steps=120, done=done, **columns)
-    (run,) = records.view().runs
-    found = cost_ratio(run)
-    assert math.isnan(found) if ratio is None else found == ratio
-    assert not survived(run)

@@ -67,7 +67,6 @@ def test_a_usual_factor_has_a_least_value(records: Any) -> None:
     ],
 )
 def test_replays_that_show_no_uncertainty(records: Any, columns: dict[str, Any]) -> None:
-    """SI units, no timing, other load and a window do not count, alone or beside others."""
     _replay(records, "daqp", (10.0, 30.0), sequence="calm", **columns)
     found, factors = _of(records)
     assert (factors, found.usual) == ([], 1.5)
@@ -76,14 +75,12 @@ def test_replays_that_show_no_uncertainty(records: Any, columns: dict[str, Any])
 
 
 def test_one_round_shows_no_uncertainty(records: Any) -> None:
-    """There is nothing to compare a single round with."""
     _replay(records, "daqp", (10.0,))
     _replay(records, "scs", (10.0, 14.0))
     assert _of(records)[1] == [pytest.approx((1.2, 1.3, 1.4))]
 
 
 def test_the_factor_of_a_run(records: Any) -> None:
-    """A replay has the middle factor, a loop the slow one, and both at least the usual one."""
     _replay(records, "daqp", (10.0, 10.0, 10.0))
     records.loop("daqp")
     records.loop("scs")
