@@ -14,9 +14,8 @@ from packaging.version import InvalidVersion, Version
 from dpbench.analysis.compare.answers import ORDER
 from dpbench.analysis.compare.pairs import key_of, problem_of
 from dpbench.analysis.compare.times import REFERENCES, usualness
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.bench.judge.rules import largest
 from dpbench.errors import InputError, UnknownNameError, one_of
 

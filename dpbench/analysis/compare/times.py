@@ -21,9 +21,8 @@ from dpbench.analysis.compare.evidence import (
     remove_reference_factor,
 )
 from dpbench.analysis.compare.pairs import Pair, key_of
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints

@@ -1,10 +1,10 @@
-"""Typed rows of `runs.parquet`."""
+"""Typed rows of `runs.parquet`, and their grouping."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -353,3 +353,22 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "float64": _floats,
 }
 """How a column of each type is read; a null of a nullable integer becomes NaN."""
+
+Item = TypeVar("Item")
+Key = TypeVar("Key")
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items by key, keys and items in the order in which they come."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def firsts(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
+    """Return the first item of each key."""
+    first: dict[Key, Item] = {}
+    for item in items:
+        first.setdefault(key(item), item)
+    return first

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
 from dpbench.bench.record.qp_source import CapabilitySource

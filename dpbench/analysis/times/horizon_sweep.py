@@ -10,9 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right

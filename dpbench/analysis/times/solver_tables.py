@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.kept_runs import KeptRun
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.times.contrasts import log_reach, paired_comparison
 from dpbench.analysis.times.machine import calling_ns
-from dpbench.analysis.times.pairs import log_reach, paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict

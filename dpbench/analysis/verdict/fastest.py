@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.run_record import grouped
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level

@@ -42,9 +42,8 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import holm
 from dpbench.analysis.verdict.requirements import Requirements

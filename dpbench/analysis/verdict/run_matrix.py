@@ -15,9 +15,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts
 from dpbench.analysis.verdict.requirements import Requirements, survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of

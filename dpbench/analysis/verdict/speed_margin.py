@@ -15,9 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns

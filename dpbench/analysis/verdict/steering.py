@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Literal
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.pairs import PairedComparison, paired_comparison
+from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import choose_solver, fastest_first
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements
