@@ -115,12 +115,12 @@ class MeanEstimate:
         return 3.0 / skew * (math.cbrt(1.0 + skew * (quantile - skew / 6)) - 1.0)
 
 
-def rounds_to_zero(spread: float, size: float) -> bool:
+def is_rounding(spread: float, size: float) -> bool:
     """Return whether a spread is rounding of values of a size."""
     return spread <= 1e-12 * size
 
 
-def holm(p: Floats) -> Floats:
+def adjust_holm(p: Floats) -> Floats:
     """Adjust p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
@@ -137,23 +137,23 @@ def none_of(count: float) -> float:
     return min(1.0, 3.0 / count) if count > 0 else 1.0
 
 
-def supports_interval(steps: int) -> bool:
+def has_interval_support(steps: int) -> bool:
     """Return whether so many consecutive steps support an interval."""
     return steps >= LEAST_STEPS
 
 
-def mean_of_steps(values: Floats) -> MeanEstimate:
+def estimate_mean(values: Floats) -> MeanEstimate:
     """Estimate the mean over consecutive steps (K,), its error from the means of `PARTS` parts.
 
     Parts that follow each other resemble each other: the error is widened by their correlation as
     for a first-order autoregression, after adding what so few parts underestimate.
     """
     mean, size = float(values.mean()), float(np.abs(values).max())
-    if not supports_interval(len(values)):
+    if not has_interval_support(len(values)):
         return MeanEstimate(mean)
     away = np.array([part.mean() for part in np.array_split(values, PARTS)]) - mean
     squares = float(away @ away)
-    if rounds_to_zero(math.sqrt(squares), size):
+    if is_rounding(math.sqrt(squares), size):
         return MeanEstimate(mean, 0.0, PARTS - 1)
     correlation = float(away[1:] @ away[:-1]) / squares + 2.0 / PARTS
     correlation = min(max(correlation, 0.0), LARGEST_CORRELATION)
@@ -172,9 +172,9 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     if not supports(steps, percent):
         return UNKNOWN
     value = float(np.percentile(values, percent))
-    if not supports_interval(steps):
+    if not has_interval_support(steps):
         return Interval(value, 0.0, np.inf)
-    found = mean_of_steps((values > value).astype(np.float64))
+    found = estimate_mean((values > value).astype(np.float64))
     widened = found.error * float(stdtrit(found.df, TAILS[1]) / ndtri(TAILS[1]))
     effect = max(LEAST_VARIANCE, widened**2 * steps / (share * (1.0 - share)))
     alone = steps / effect
@@ -190,9 +190,9 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     )
 
 
-def long_enough(logs: Sequence[Floats]) -> list[Floats]:
+def select_long(logs: Sequence[Floats]) -> list[Floats]:
     """Return the sequences of steps that support an interval; all of them where none does."""
-    return [one for one in logs if supports_interval(len(one))] or list(logs)
+    return [one for one in logs if has_interval_support(len(one))] or list(logs)
 
 
 def paired_ratio(slower: Floats, faster: Floats) -> Interval:
@@ -205,12 +205,12 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
 
     Parameters
     ----------
-    logs : the log ratios of the steps of each sequence, of which `long_enough` are taken; an empty
+    logs : the log ratios of the steps of each sequence, of which `select_long` are taken; an empty
         one makes the mean unknown.
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = [mean_of_steps(one) for one in long_enough(logs)]
+    means = [estimate_mean(one) for one in select_long(logs)]
     errors = np.array([one.error for one in means])
     fourth = float((errors**4 / np.array([max(1.0, one.df) for one in means])).sum())
     pooled = MeanEstimate(

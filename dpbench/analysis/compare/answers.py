@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import Pair, key_of
+from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.rules import decided, failed_steps
@@ -74,29 +74,19 @@ class Answer:
     @property
     def row(self) -> dict[str, Any]:
         """Identity, figure, ranges in A and B and change, for a table."""
-        return key_of(self.pair.a) | {
-            "figure": self.measure.column,
-            "a_low": self.a[0],
-            "a_high": self.a[1],
-            "b_low": self.b[0],
-            "b_high": self.b[1],
-            "change": self.change,
-        }
+        ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
+        figure = {"figure": self.measure.column}
+        return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
 
 
 def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
     """Compare every figure of every pair; a pair whose outcome changed is judged by that."""
-    return [
-        Answer(
-            pair,
-            measure,
-            range_a,
-            range_b,
-            _change(measure, range_a, range_b, margin) if repeats else "not comparable",
-        )
-        for pair in pairs
-        for measure, range_a, range_b, repeats in _figures(a, b, pair)
-    ]
+    answers = []
+    for pair in pairs:
+        for measure, in_a, in_b, repeats in _figures(a, b, pair):
+            change = _change(measure, in_a, in_b, margin) if repeats else "not comparable"
+            answers.append(Answer(pair, measure, in_a, in_b, change))
+    return answers
 
 
 def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range, bool]]:
@@ -104,13 +94,12 @@ def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Rang
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
-        places = [_point(ORDER.index(outcome)) for outcome in outcomes]
-        yield OUTCOME, places[0], places[1], not by_clock
+        yield OUTCOME, *(_point(ORDER.index(outcome)) for outcome in outcomes), not by_clock
         if not by_clock:
             return
     if not (pair.a.has_steps or pair.b.has_steps):
         return
-    steps = [_counting(view, run) for view, run in ((a, pair.a), (b, pair.b))]
+    steps = [view.counting_steps(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
         yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done), True
@@ -123,8 +112,7 @@ def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Rang
     for measure in ACCURACY:
         yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
-        column = measure.column
-        values = _point(getattr(pair.a, column)), _point(getattr(pair.b, column))
+        values = (_point(getattr(run, measure.column)) for run in (pair.a, pair.b))
         yield measure, *values, unlimited
 
 
@@ -151,10 +139,6 @@ _STEPS = (
 )
 
 
-def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
-    return records.counting_steps(run, _STEPS)
-
-
 def _before_time_limit(steps: pd.DataFrame) -> float:
     """Return the first step whose answer was cut short by the solver's time limit, or inf."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
@@ -174,8 +158,4 @@ def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, R
         "true_share": rounds["true"].mean(),
         "failed_steps": rounds["failed"].sum(),
     }
-    return {column: _range(values) for column, values in by_round.items()}
-
-
-def _range(values: pd.Series[float]) -> Range:
-    return float(values.min()), float(values.max())
+    return {name: (float(own.min()), float(own.max())) for name, own in by_round.items()}

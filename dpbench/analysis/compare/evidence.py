@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Interval, holm
+from dpbench.analysis.statistics import Interval, adjust_holm
 from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
@@ -183,8 +183,8 @@ def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     bound, size = np.log1p(margin), np.abs(evidence.effect)
     tail = stats.t(evidence.df)
     beyond = tail.sf((size - bound) / evidence.error) + tail.sf((size + bound) / evidence.error)
-    differs = holm(np.minimum(1.0, beyond))
-    equal = holm(tail.sf((bound - size) / evidence.error))
+    differs = adjust_holm(np.minimum(1.0, beyond))
+    equal = adjust_holm(tail.sf((bound - size) / evidence.error))
     reach = tail.isf(alpha / 2 / max(1, len(size))) * evidence.error
     verdicts: list[Assessment] = []
     for i, effect in enumerate(evidence.effect):

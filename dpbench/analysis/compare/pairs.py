@@ -64,7 +64,7 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     for key in (key for key in cells_a if key in cells_b):
         pair = Pair(cells_a[key], cells_b[key])
         outcomes = pair.a.outcome, pair.b.outcome
-        if problem_of(pair.a) != problem_of(pair.b):
+        if problem_key(pair.a) != problem_key(pair.b):
             changed.append(_name(pair.a))
         elif "lost" in outcomes:
             lost.append(_name(pair.a))
@@ -78,7 +78,7 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
-def key_of(run: RunRecord) -> dict[str, Any]:
+def cell_key(run: RunRecord) -> dict[str, Any]:
     """Return the columns of `KEY` of a run."""
     return {column: getattr(run, column) for column in KEY}
 
@@ -86,7 +86,7 @@ def key_of(run: RunRecord) -> dict[str, Any]:
 def _by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
-    return {tuple(key_of(run).values()): run for run in lasting}
+    return {tuple(cell_key(run).values()): run for run in lasting}
 
 
 def _name(run: RunRecord) -> str:
@@ -94,6 +94,6 @@ def _name(run: RunRecord) -> str:
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def problem_of(run: RunRecord) -> tuple[object, ...]:
+def problem_key(run: RunRecord) -> tuple[object, ...]:
     """Return what else cells of one problem share, as far as their descriptions tell."""
     return run.files, run.source, run.first, run.fallback, run.backup

@@ -12,8 +12,8 @@ import pandas as pd
 from packaging.version import InvalidVersion, Version
 
 from dpbench.analysis.compare.answers import ORDER
-from dpbench.analysis.compare.pairs import key_of, problem_of
-from dpbench.analysis.compare.times import REFERENCES, usualness
+from dpbench.analysis.compare.pairs import cell_key, problem_key
+from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.bench.judge.rules import largest
@@ -136,7 +136,7 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
     units = {name: _units(records, solver) for name, records in folders.items()}
     by_cell = [_history(runs, units) for runs in common.values()]
-    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
+    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
     ratios = [ratio for history in by_cell for ratio in _repeated(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
@@ -149,7 +149,7 @@ def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunReco
         for run in records.all_runs:
             if run.slowdown > 0.0 or run.is_baseline_law or run.outcome in ("lost", "refused"):
                 continue
-            cells.setdefault(repr((key_of(run), problem_of(run))), {})[name] = run
+            cells.setdefault(repr((cell_key(run), problem_key(run))), {})[name] = run
     return cells
 
 
@@ -173,7 +173,9 @@ def _units(records: Records, solver: str) -> Mapping[str, float] | None:
     """Return the p50 of the reference's most usual run, by problem; None without a reference."""
     if not solver:
         return None
-    runs = sorted((r for r in _timed(records) if r.solver == solver), key=usualness, reverse=True)
+    runs = sorted(
+        (r for r in _timed(records) if r.solver == solver), key=usual_first_key, reverse=True
+    )
     return {run.problem: run.algo_p50_ns for run in runs}
 
 
@@ -182,12 +184,11 @@ def _history(
 ) -> History:
     builds = len({run.build for run in runs.values()})
 
-    def version_of(of_folder: tuple[str, RunRecord]) -> str:
-        _, run = of_folder
+    def version_of(run: RunRecord) -> str:
         return f"{run.solver_version} {run.build if builds > 1 else ''}".strip() or "no version"
 
     releases = []
-    for version, of_version in grouped(runs.items(), version_of).items():
+    for version, of_version in grouped(runs.items(), lambda item: version_of(item[1])).items():
         times = (
             _mean([_time(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")

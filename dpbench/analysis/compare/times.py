@@ -20,7 +20,7 @@ from dpbench.analysis.compare.evidence import (
     remove_machine_factor,
     remove_reference_factor,
 )
-from dpbench.analysis.compare.pairs import Pair, key_of
+from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.statistics import resampled_error
@@ -90,20 +90,14 @@ class Compared:
     @property
     def row(self) -> dict[str, Any]:
         """Identity, ratios, interval, adjusted p-values and verdict, for a table."""
-        timing, assessment = self.timing, self.assessment
-        return key_of(timing.pair.a) | {
-            "raw": assessment.raw,
-            "machine": assessment.machine,
-            "ratio": assessment.ratio.value,
-            "low": assessment.ratio.low,
-            "high": assessment.ratio.high,
-            "own": timing.own,
-            "p_differs": assessment.p_differs,
-            "p_equal": assessment.p_equal,
-            "steps": timing.steps,
-            "rounds": timing.rounds,
-            "verdict": assessment.verdict,
-        }
+        timing, found = self.timing, self.assessment
+        ratio = {"ratio": found.ratio.value, "low": found.ratio.low, "high": found.ratio.high}
+        p_values = {"p_differs": found.p_differs, "p_equal": found.p_equal}
+        return (
+            cell_key(timing.pair.a)
+            | {"raw": found.raw, "machine": found.machine, **ratio, "own": timing.own, **p_values}
+            | {"steps": timing.steps, "rounds": timing.rounds, "verdict": found.verdict}
+        )
 
 
 @dataclass(frozen=True)
@@ -138,7 +132,7 @@ def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
 
 def _identity(timing: Timing) -> tuple[object, ...]:
     """Return a key without the settings' name: those without effect are one run, one evidence."""
-    unnamed = key_of(timing.pair.a) | {"settings": ""}
+    unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
@@ -186,16 +180,16 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
 def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
     """Return (N,) the index of the reference solver's timing on the same sequence; −1 for none.
 
-    Of several the most usual, see `usualness`.
+    Of several the most usual, see `usual_first_key`.
     """
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
-    usual_first = sorted(own, key=lambda i: usualness(runs[i]))
+    usual_first = sorted(own, key=lambda i: usual_first_key(runs[i]))
     usual = firsts(usual_first, lambda i: runs[i].problem)
     return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
 
 
-def usualness(run: RunRecord) -> tuple[Any, ...]:
+def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
     """Sort key: default settings, each step from nothing, in scaled units first."""
     settings = settings_level(run.settings)
     return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
@@ -260,18 +254,12 @@ def compare_times(
     assessments = assess(family, margin, alpha)
     compared = [Compared(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
-    shared = [
-        Shared(
-            name,
-            float(np.exp(factors[name])),
-            float(np.exp(machine.kernel)),
-            float(np.exp(machine.load)),
-            groups.count(name),
-            None if unjudged[name] else next(rest),
-            unjudged[name],
-        )
-        for name, machine in machines.items()
-    ]
+    shared = []
+    for name, machine in machines.items():
+        logs_shared = factors[name], machine.kernel, machine.load
+        assessment = None if unjudged[name] else next(rest)
+        ratios = (float(np.exp(log)) for log in logs_shared)
+        shared.append(Shared(name, *ratios, groups.count(name), assessment, unjudged[name]))
     return compared, shared
 
 
@@ -295,9 +283,8 @@ class _Machine:
     def error_of(self, configurations: Floats) -> float:
         """Return its error against the median of configurations with these errors."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
-        return float(
-            np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
-        )
+        load2 = (LOAD_WEIGHT_ERROR * self.beyond) ** 2
+        return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
 def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
@@ -307,10 +294,9 @@ def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
     """
     logs = _logs(timings, "load_kernel_ns")
     met = np.zeros(len(logs))
-    for name in np.unique(labels):
+    for name in np.unique(labels[np.isfinite(logs)]):
         known = (labels == name) & np.isfinite(logs)
-        if known.any():
-            met[known] = logs[known] - np.median(logs[known])
+        met[known] = logs[known] - np.median(logs[known])
     return met
 
 

@@ -66,17 +66,14 @@ class KeptRun:
 
 
 def _hard(run: RunSteps, measure: Measure) -> list[HardRow]:
-    return [
-        HardRow(
-            int(run.k[hard.at]),
-            hard.value,
-            str(run.status[hard.at]),
-            bool(run.claimed[hard.at]),
-            bool(run.true[hard.at]),
-            int(run.n_active[hard.at]),
+    rows = []
+    for hard in hardest(run, measure):
+        i = hard.at
+        flags = bool(run.claimed[i]), bool(run.true[i])
+        rows.append(
+            HardRow(int(run.k[i]), hard.value, str(run.status[i]), *flags, int(run.n_active[i]))
         )
-        for hard in hardest(run, measure)
-    ]
+    return rows
 
 
 def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:

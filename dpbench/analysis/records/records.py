@@ -41,9 +41,8 @@ class Records:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        runs = [
-            run if self.is_ranked(run) else run.without_times() for run in records_of(results.runs)
-        ]
+        every = records_of(results.runs)
+        runs = [run if self.is_ranked(run) else run.without_times() for run in every]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
@@ -96,15 +95,9 @@ class Records:
 
     def select(self, **wanted: object) -> list[RunRecord]:
         """Return runs whose columns have the wanted values, or one of a tuple of values."""
+        allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
-            run
-            for run in self.runs
-            if all(
-                getattr(run, column) in value
-                if isinstance(value, tuple)
-                else getattr(run, column) == value
-                for column, value in wanted.items()
-            )
+            run for run in self.runs if all(getattr(run, name) in v for name, v in allowed.items())
         ]
 
     @cached_property
@@ -117,24 +110,24 @@ class Records:
         """Scenarios in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
-    def full_steps(self, scenario: str) -> int:
+    def count_planned_steps(self, scenario: str) -> int:
         """Return the steps of the longest requested closed loop of a scenario; 0 if none."""
         loops = self.select(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
-    def whole_steps(self, scenario: str) -> int:
+    def count_scenario_steps(self, scenario: str) -> int:
         """Return the steps of the whole scenario; the requested ones where no row carries it."""
         carried = self.scenario(scenario)
-        return self.full_steps(scenario) if carried is None else carried.steps
+        return self.count_planned_steps(scenario) if carried is None else carried.steps
 
-    def full_loops(self, scenario: str) -> list[RunRecord]:
+    def select_full_loops(self, scenario: str) -> list[RunRecord]:
         """Return full-length loops of a scenario, default settings, scaled; baseline law too."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
             settings="default",
             units="scaled",
-            steps_planned=self.full_steps(scenario),
+            steps_planned=self.count_planned_steps(scenario),
         )
 
     @cached_property
@@ -181,11 +174,11 @@ class Records:
     @cached_property
     def _carried(self) -> dict[str, ScenarioDocuments]:
         """The first documents of each scenario that a run carries."""
-        carried: dict[str, ScenarioDocuments] = {}
-        for run in self.runs:
-            if run.scenario not in carried and (files := run.scenario_files) is not None:
-                carried[run.scenario] = files
-        return carried
+        return {
+            run.scenario: files
+            for run in reversed(self.runs)
+            if (files := run.scenario_files) is not None
+        }
 
     def scenario(self, name: str) -> Scenario | None:
         """Return the scenario a run was made from; None when no row carries it."""

@@ -146,10 +146,8 @@ class RunRecord:
 
     def without_times(self) -> RunRecord:
         """Return the run as if nothing of it had been timed."""
-        timed: dict[str, Any] = {
-            one.name: np.nan for one in fields(self) if one.name.endswith("_ns")
-        }
-        return replace(self, **timed)
+        timed: list[Any] = [one.name for one in fields(self) if one.name.endswith("_ns")]
+        return replace(self, **dict[str, Any].fromkeys(timed, np.nan))
 
     @property
     def configuration(self) -> Configuration:
@@ -221,10 +219,8 @@ class RunRecord:
     @property
     def steers_thrusters(self) -> bool:
         """True if its controller commands thrusters; False where the row carries no scenario."""
-        files = self.scenario_files
-        return (
-            files is not None and files["scenario"]["controller"].get("kind", "forces") != "forces"
-        )
+        scenario = (self.scenario_files or {}).get("scenario")
+        return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
 
     @property
     def is_baseline_law(self) -> bool:
@@ -321,14 +317,9 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
             shared[key] = source_from(read.source)
         except ValueError as error:
             raise _damaged("cell.source", error) from error
-    return {
-        "files": files,
-        "source": shared[key],
-        "first": read.first,
-        "fallback": read.fallback,
-        "backup": read.backup,
-        "x": shared.setdefault(repr(read.study.x), read.study.x),
-    }
+    same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
+    x = shared.setdefault(repr(read.study.x), read.study.x)
+    return {"files": files, "source": shared[key], "x": x, **same}
 
 
 def _damaged(key: str, error: ValueError) -> ResultsError:

@@ -36,7 +36,7 @@ class StepTimes:
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Yield the step times of every run of a table that left a counting row."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
-        yield run_id, step_times_of(repeat, k, total_ns)
+        yield run_id, merge_rounds(repeat, k, total_ns)
 
 
 def _counting_rows(
@@ -51,7 +51,7 @@ def _counting_rows(
         yield run_id, repeat[own], k[own], [column[own] for column in columns]
 
 
-def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
+def merge_rounds(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
     """Return the step times of the counting rows (N,) of one replay."""
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, total_ns)
@@ -126,10 +126,10 @@ class Delays:
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield the delays of every run of a step table that left a counting row."""
     for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
-        yield run_id, delays_of(repeat, k, total_ns, waited_ns)
+        yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 
 
-def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
     """Return the delays of the counting rows (N,) of one run, times and waits in ns.
 
     Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.

@@ -99,7 +99,7 @@ def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysi
     groups = grouped(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
-    sample_s = float("nan") if files is None else scenario_once(files).sample_s
+    sample_s = math.nan if files is None else scenario_once(files).sample_s
     by_configuration = grouped(runs, lambda run: run.name)
     answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
@@ -109,11 +109,8 @@ def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysi
 
 def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Return the columns `SPAN` of one group, neighbours of one state joined."""
-    steps = (
-        records.counting_steps(run, ("k", "t_s", "certificate"))
-        .drop_duplicates("k")
-        .sort_values("k")
-    )
+    rows = records.counting_steps(run, ("k", "t_s", "certificate"))
+    steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
@@ -136,7 +133,7 @@ def _answers(
         name=runs[0].name,
         asked=sum(run.steps_planned for run in runs),
         p99=percentile(shares, 99),
-        largest=float(shares.max()) if len(shares) else float("nan"),
+        largest=float(shares.max()) if len(shares) else math.nan,
         **{str(name): int(count) for name, count in counts.items()},
     )
 
@@ -145,24 +142,16 @@ def _counts(steps: pd.DataFrame) -> pd.Series[int]:
     """Count feasible, infeasible, held, refused, missed and untrue of one run."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
-    always = pd.DataFrame(
-        {
-            "feasible": claims["steps"] & ~infeasible,
-            "infeasible": infeasible,
-            "held": claims["told"],
-            "refused": claims["empty_right"] & infeasible,
-        }
-    )
-    ever = pd.DataFrame(
-        {
-            "missed": claims["lies"] & infeasible,
-            "untrue": claims["lies"] | claims["empty_wrong"],
-        }
-    )
-    counts: pd.Series[int] = pd.concat(
-        [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
-    )
-    return counts
+    always = {
+        "feasible": claims["steps"] & ~infeasible,
+        "infeasible": infeasible,
+        "held": claims["told"],
+        "refused": claims["empty_right"] & infeasible,
+    }
+    lies = claims["lies"]
+    ever = {"missed": lies & infeasible, "untrue": lies | claims["empty_wrong"]}
+    by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
+    return pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
 
 
 def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:

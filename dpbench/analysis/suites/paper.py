@@ -43,18 +43,18 @@ class Pair:
     whole: int = 0
 
 
-def pair_of(view: Records, scenario: str) -> Pair:
+def find_laws(view: Records, scenario: str) -> Pair:
     """Return the two laws of a scenario, each from a complete one of its longest loops."""
-    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+    loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
     best = min(solved, key=_deviation, default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
-    return Pair(best, clipped, view.whole_steps(scenario))
+    return Pair(best, clipped, view.count_scenario_steps(scenario))
 
 
-def paper_pair(view: Records, name: str) -> Pair:
+def find_paper_laws(view: Records, name: str) -> Pair:
     """Return the two laws where the scenario is the paper's own of that name; else none."""
-    return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
+    return find_laws(view, name) if is_of_paper(view, name) else Pair(None, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Law:
 
 def laws_of(view: Records) -> list[Law]:
     """Return the constrained law of the paper's own scenario, and the clipped one if it was run."""
-    pair = pair_of(view, PAPER)
+    pair = find_laws(view, PAPER)
     if pair.constrained is None:
         return []
     laws = [Law(f"constrained ({pair.constrained.solver})", view.steps(pair.constrained))]
@@ -178,7 +178,7 @@ SMALLER = {
 
 def judged(records: Records, scenario: str, by: str) -> Finding:
     """Assess a claim in the paper's scenario of that name, where its laws ran to the end."""
-    pair = paper_pair(records, scenario)
+    pair = find_paper_laws(records, scenario)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
@@ -188,7 +188,7 @@ def judged(records: Records, scenario: str, by: str) -> Finding:
         return Finding("short", "not measured", {"done": done, "whole": pair.whole})
     values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
     if by == "circle":
-        values["entered_s"] = entered_s(records, runs[0])
+        values["entered_s"] = find_circle_entry_s(records, runs[0])
     if by == "steady":
         values["alike"] = _alike_at_rest(records, *runs)
     return Finding(by, _state(by, *runs), values)
@@ -205,7 +205,7 @@ def _state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
     return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
 
 
-def entered_s(records: Records, run: RunRecord) -> float:
+def find_circle_entry_s(records: Records, run: RunRecord) -> float:
     """Return the time from which a run stays within the circle [s]; inf if it ends outside."""
     scenario, steps = records.scenario(run.scenario), records.steps(run)
     assert scenario is not None, "a run of the paper's own scenario"

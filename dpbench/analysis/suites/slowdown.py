@@ -53,11 +53,8 @@ def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ..
 
 
 def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Those that survive most first, then those whose last loop costs least."""
+    """Sort key: the most survived first, then the least cost of the last loop."""
     last = list(configuration.loops.values())[-1]
-    survives, cost = configuration.survives, cost_ratio(last)
-    return (
-        math.inf if math.isnan(survives) else -survives,
-        math.inf if math.isnan(cost) else cost,
-        last.name,
-    )
+    survives, cost = -configuration.survives, cost_ratio(last)
+    unknown_last = (math.inf if math.isnan(value) else value for value in (survives, cost))
+    return (*unknown_last, last.name)

@@ -29,7 +29,7 @@ from scipy.stats import t as student
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, grouped
-from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
+from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
 from dpbench.analysis.verdict.fastest import known_record
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
@@ -275,7 +275,9 @@ class Study:
         known = [self._of(str(name)) for name in self.runs["configuration"].unique()]
         known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
         reference, *others = known
-        adjusted = [holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)]
+        adjusted = [
+            adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
+        ]
         return [reference] + [
             replace(one, p_differs=float(differs), p_cheap=float(cheap))
             for one, differs, cheap in zip(others, *adjusted, strict=True)
@@ -332,9 +334,7 @@ def studies(records: Records) -> list[Study]:
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
     }
-    by_name: dict[str, list[RunRecord]] = {}
-    for run in records.study:
-        by_name.setdefault(run.study, []).append(run)
+    by_name = grouped(records.study, lambda run: run.study)
     return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
@@ -360,101 +360,3 @@ def _exactness(solver: str, settings: str) -> tuple[int, float]:
 
 def _nan_last(value: float) -> float:
     return np.inf if math.isnan(value) else value
-
-
-MOST_MAPS = 6
-"""The reference, and those that hold least, are mapped."""
-MOST_POINTS, FIELDS = 300, 14
-"""A map of more points shows fields instead, so many along each key."""
-MOST_DOTS = 1500
-"""Most seas of a figure: of more, some of each configuration at even ranks, with its extremes."""
-
-
-def fits(study: Study) -> bool:
-    """Return whether every point has a place of its own on a map."""
-    return len(study.points) <= MOST_POINTS
-
-
-def held_maps(study: Study) -> pd.DataFrame:
-    """Return the maps of the reference and of those that hold least.
-
-    Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
-    """
-    ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
-    numeric = study.points.select_dtypes("number").columns.tolist()
-    columns = dict(zip(numeric, ("x", "y"), strict=False))
-    names = list(columns.values())
-    tables = []
-    for configuration in [study.configurations[0], *ordered]:
-        table = study.held_map(configuration.name).rename(columns=columns)
-        part = table[[*names, "held", "runs"]]
-        if not fits(study):
-            part = part.assign(**{name: _fields(part[name]) for name in names})
-        # Points that differ in a third key lie on one another: their seas are counted together.
-        seas = part.assign(held=part["held"] * part["runs"])
-        summed = seas.groupby(names, as_index=False).sum() if names else seas
-        summed["held"] /= summed["runs"]
-        tables.append(summed.assign(configuration=configuration.name))
-    return pd.concat(tables, ignore_index=True)
-
-
-def _fields(values: pd.Series[float]) -> pd.Series[float]:
-    """Return the middle of the field of each value."""
-    least, most = float(values.min()), float(values.max())
-    width = (most - least) / FIELDS or 1.0
-    number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
-    return least + width * (number + 0.5)
-
-
-def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
-    """Return a mean with the ends of its interval [cm], None where it has none; and its pairs."""
-    mean = difference.mean
-    low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
-    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
-
-
-def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """Return the means of `mean_cm`, some seas [cm], and the number of seas.
-
-    They are excess errors of configurations over the reference.
-    """
-    reference = study.values(study.reference, "r_95_m")
-    most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
-    rows, seas, count = [], [], 0
-    for configuration in study.configurations:
-        if configuration.error_excess_m is None or configuration.error_excess_m.pairs == 0:
-            continue
-        rows.append({"name": configuration.name} | mean_cm(configuration.error_excess_m))
-        each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
-        count += len(each)
-        ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
-        some = each.sort_values().iloc[ranks] if len(each) > most else each
-        seas.append(some.rename("behind_cm").reset_index().assign(name=configuration.name))
-    return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
-
-
-def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """Return each run's excess error over the reference in the same sea [cm]; NaN without one."""
-    reference = study.values(study.reference, "r_95_m")
-    sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
-    other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
-    return (100.0 * (rows["r_95_m"] - other)).where(rows["finished"])
-
-
-def worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Return the id of the worst of some runs; None of none.
-
-    It is of the configuration that holds fewest seas, or else of that farthest from the exactly
-    solved loop: in a sea that it does not hold, or else in the one of its largest error.
-    """
-    rows = study.runs[study.runs["run_id"].isin(among)]
-    if rows.empty:
-        return None
-    known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
-    worst = min(reversed(known), key=lambda c: c.held)
-    rows = rows[rows["configuration"] == worst.name]
-    share = rows.groupby("point")["held"].transform("mean")
-    order = rows.assign(share=share).sort_values(
-        ["share", "held", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
-    )
-    return str(order["run_id"].iloc[0])

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import (
     UNKNOWN,
     Interval,
-    long_enough,
     paired_ratio,
     pooled_mean,
+    select_long,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -58,10 +58,9 @@ class PairedComparison:
     @property
     def row(self) -> dict[str, Any]:
         """Names, ratio with its interval, and its assessment, for a table."""
-        r = self.ratio
-        row: dict[str, Any] = {"first": self.first, "second": self.second}
-        row |= {"ratio": r.value, "low": r.low, "high": r.high, "steps": self.steps}
-        return row | {"tied": self.tied, "unstable": self.unstable}
+        ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
+        names = {"first": self.first, "second": self.second}
+        return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
 
 
 def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
@@ -72,7 +71,7 @@ def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
-def common_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
+def pooled_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
     """Return the ratio second/first on the steps that both of each pair have done.
 
     Each pair has equal weight; unknown where there are none.
@@ -81,18 +80,18 @@ def common_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
     return pooled_mean([np.log(second / first) for first, second in common if len(first)])
 
 
-def log_reach(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
+def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
     """Return half the width of the log ratio's interval of two configurations; NaN without one.
 
     Both by the number of the replay.
     """
-    ratio = common_ratio((first[place], second[place]) for place in first if place in second)
+    ratio = pooled_ratio((first[place], second[place]) for place in first if place in second)
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
-    """Compare two configurations on the steps of the sequences that are `long_enough`.
+    """Compare two configurations on the steps of the sequences that are `select_long`.
 
     Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
     there is none.
@@ -101,20 +100,18 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in records.sequences:
-        first_times = _times(records, sequence, first)
-        second_times = _times(records, sequence, second)
-        if first_times is None or second_times is None:
+        times = [_times(records, sequence, verdict) for verdict in (first, second)]
+        if times[0] is None or times[1] is None:
             continue
-        second_ns, first_ns = paired(second_times, first_times)
-        if len(first_ns) == 0:
+        first_ns, second_ns = paired(times[0], times[1])
+        if not len(first_ns):
             continue
         logs.append(np.log(second_ns / first_ns))
-        first_leads = np.median(first_ns) <= np.median(second_ns)
-        leaders[f"median on `{sequence}`"] = names[0] if first_leads else names[1]
+        leaders[f"median on `{sequence}`"] = names[int(np.median(first_ns) > np.median(second_ns))]
     if not logs:
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    steps = sum(map(len, long_enough(logs)))
+    steps = sum(map(len, select_long(logs)))
     return PairedComparison(*names, pooled_mean(logs), steps, leaders)
 
 
@@ -126,10 +123,8 @@ def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> li
     unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
     faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
-    first: dict[str, Verdict] = {}
-    for _, verdict in sorted(faster, key=lambda pair: pair[0].value):
-        first.setdefault(verdict.configuration.solver, verdict)
-    return list(first.values())
+    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
+    return list(firsts(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
 def _times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
@@ -183,10 +178,8 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
     medians: dict[tuple[float, str], list[RouteGain]] = {}
     by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
-        times: dict[RoutePolicy, StepTimes] = {}
-        for run in runs:
-            if (of_run := records.times(run)) is not None:
-                times[run.route, run.policy] = of_run
+        timed = ((run, records.times(run)) for run in runs)
+        times = {(run.route, run.policy): own for run, own in timed if own is not None}
         if any(route == "native" for route, _ in times):
             fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
             own = medians.setdefault((fastest, solver), [])
@@ -210,16 +203,11 @@ def _gains(
 def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
     """Return the levels at which each solver is right on every step, the most usual first."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    levels_of = {
-        solver: grouped(own, lambda run: run.settings)
-        for solver, own in grouped(runs, lambda run: run.solver).items()
-    }
-    return {
-        solver: [
-            level for level, own in of.items() if all(is_right(run, requirements) for run in own)
-        ]
-        for solver, of in levels_of.items()
-    }
+    levels: dict[str, list[str]] = {run.solver: [] for run in runs}
+    for (solver, level), own in grouped(runs, lambda run: (run.solver, run.settings)).items():
+        if all(is_right(run, requirements) for run in own):
+            levels[solver].append(level)
+    return levels
 
 
 def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
-from dpbench.analysis.verdict.uncertainty import uncertainty_of, usual_factor
+from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, usual_factor
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -26,7 +26,7 @@ def round_spread(records: Records) -> tuple[float, float]:
 
     Over the configurations; NaN without two rounds.
     """
-    slowest = list(uncertainty_of(records).slowest.values())
+    slowest = list(estimate_uncertainty(records).slowest.values())
     return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
 
 
@@ -36,15 +36,17 @@ def timed_runs(records: Records) -> list[RunRecord]:
     Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
     among those that the machine is judged by.
     """
-    return _own_apart(_once_each(records))
+    runs = [*records.calibration, *records.all_runs]
+    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
+    return _set_own_switches_apart(list(firsts(timed, _identity).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
     """Return every loop on a slow computer that left a step, its own switches apart."""
-    return _own_apart([run for run in records.delayed if run.has_steps])
+    return _set_own_switches_apart([run for run in records.delayed if run.has_steps])
 
 
-def _own_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _set_own_switches_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
@@ -60,12 +62,6 @@ def _switches_a_step(run: RunRecord) -> float:
     rounds = 1.0 if run.mode == "closed_loop" else run.rounds
     # One that was stopped before its first round that counts has none.
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
-
-
-def _once_each(records: Records) -> list[RunRecord]:
-    runs = [*records.calibration, *records.all_runs]
-    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return list(firsts(timed, _identity).values())
 
 
 def _identity(run: RunRecord) -> tuple[object, ...]:
@@ -103,11 +99,8 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
 def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
     """Return by name the largest of its known figures."""
-    largest: dict[str, float] = {}
-    for name, figure in figures:
-        if not math.isnan(figure):
-            largest[name] = max(figure, largest.get(name, 0.0))
-    return largest
+    known = grouped((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
+    return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
@@ -121,8 +114,7 @@ def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
     return float(min(waits, default=math.nan))
 
 
-def calling_ns(records: Records) -> float:
+def library_call_ns(records: Records) -> float:
     """Return the time of a call to a library that only copies [ns]; NaN without it."""
-    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
-    known = [t for t in times if math.isfinite(t)]
-    return min(known) if known else math.nan
+    times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
+    return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from math import isnan, nan
 from typing import Any
 
@@ -20,8 +20,8 @@ from dpbench.analysis.records.kept_runs import KeptRun
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.times.contrasts import log_reach, paired_comparison
-from dpbench.analysis.times.machine import calling_ns
+from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
+from dpbench.analysis.times.machine import library_call_ns
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
@@ -93,7 +93,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
     """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
-    called_ns = calling_ns(matrix.records)
+    called_ns = library_call_ns(matrix.records)
     rows = [
         {
             "id": str(matrix.index(verdict.configuration)),
@@ -161,27 +161,21 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
     modes = {c.solver: (c.route, c.policy) for c in best}
     levels = level_points(matrix.records, matrix.records.sequences, modes)
     states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
-    rows = [
-        _point(matrix, point, states)
-        for points in levels.values()
-        for point in points
-        if point.error_move < LARGEST_ERROR and not isnan(point.p50_ns)
-    ]
+    rows = []
+    for point in chain.from_iterable(levels.values()):
+        if not point.error_move < LARGEST_ERROR or isnan(point.p50_ns):
+            continue
+        judged = point.configuration.in_common_formulation
+        columns = {
+            "id": str(matrix.index(judged)),
+            "family": family_of(judged.solver),
+            "error": point.error_move,
+            "p50_us": point.p50_ns / 1e3,
+            "p99_us": point.p99_ns / 1e3,
+            "verdict": states.get(judged, "not judged"),
+        }
+        rows.append(configuration_columns(point.configuration) | columns)
     return pd.DataFrame(rows)
-
-
-def _point(
-    matrix: RunMatrix, point: LevelPoint, states: Mapping[Configuration, str]
-) -> dict[str, Any]:
-    judged = point.configuration.in_common_formulation
-    return configuration_columns(point.configuration) | {
-        "id": str(matrix.index(judged)),
-        "family": family_of(judged.solver),
-        "error": point.error_move,
-        "p50_us": point.p50_ns / 1e3,
-        "p99_us": point.p99_ns / 1e3,
-        "verdict": states.get(judged, "not judged"),
-    }
 
 
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
@@ -216,18 +210,16 @@ def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """Return the timed configurations, and `log_reach` of any two of them.
+    """Return the timed configurations, and `log_half_width` of any two of them.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """
     timed: dict[int, dict[int, StepTimes]] = {}
     for (c, p), run in matrix.runs.items():
-        if (
-            matrix.experiments[p].mode == "replay"
-            and (times := matrix.records.times(run)) is not None
-        ):
+        times = matrix.records.times(run) if matrix.experiments[p].mode == "replay" else None
+        if times is not None:
             timed.setdefault(c, {})[p] = times
-    return list(timed), [log_reach(*two) for two in combinations(timed.values(), 2)]
+    return list(timed), [log_half_width(*two) for two in combinations(timed.values(), 2)]
 
 
 @dataclass(frozen=True)

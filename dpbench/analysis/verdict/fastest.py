@@ -34,7 +34,7 @@ def _known(time_ns: float) -> float:
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
-def qualifying(verdicts: Verdicts) -> list[Verdict]:
+def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
     """Return the configurations that rank, timed on the most sequences, the fastest first.
 
     Of two names of one run the more usual settings.
@@ -47,34 +47,31 @@ def qualifying(verdicts: Verdicts) -> list[Verdict]:
 
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
     """Return the solver's fastest configuration, or more usual settings hardly slower."""
-    return next((v for v in ranked_qualifying(verdicts) if v.configuration.solver == solver), None)
+    return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
-def ranked_qualifying(verdicts: Verdicts) -> list[Verdict]:
+def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     """Return the fastest qualifying configuration of each solver, the fastest solver first."""
-    by_solver = grouped(qualifying(verdicts), lambda verdict: verdict.configuration.solver)
+    by_solver = grouped(rank_configurations(verdicts), lambda verdict: verdict.configuration.solver)
     return list(map(_most_usual, by_solver.values()))
 
 
 def _most_usual(own: Sequence[Verdict]) -> Verdict:
     """Return the most usual settings that are as fast as a solver's fastest, the first."""
     best = own[0]
+    mode = best.configuration.route, best.configuration.policy
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _figure(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
-        if verdict.configuration.route == best.configuration.route
-        and verdict.configuration.policy == best.configuration.policy
-        and (_figure(verdict) <= (1.0 + ALIKE) * _figure(best) or _rounds_overlap(verdict, best))
+        if (verdict.configuration.route, verdict.configuration.policy) == mode
+        # Where rounds overlap, the least of a few may be lower for the slower one by chance.
+        and (
+            _figure(verdict) <= usual
+            or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
+        )
     ]
     return min(alike, key=_level)
-
-
-def _rounds_overlap(a: Verdict, b: Verdict) -> bool:
-    """Return whether a round of either was as slow as one of the other.
-
-    The least of a few rounds may then be lower for the slower one by chance.
-    """
-    return a.rounds_ns[0] <= b.rounds_ns[1] and b.rounds_ns[0] <= a.rounds_ns[1]
 
 
 def _level(verdict: Verdict) -> tuple[int, str]:
@@ -108,7 +105,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
     """
-    known = ranked_qualifying(verdicts)
+    known = rank_solvers(verdicts)
     met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
     candidates = met or near or known
     deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
@@ -140,10 +137,10 @@ def deployment_blocker(solver: str) -> str:
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """Return the configuration that shows each solver, the best state first, then by time.
 
-    It is one of the solver's best state: that of `ranked_qualifying`, else its reference, else the
+    It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
     fastest. Where some were run in both modes, those without a loop or a replay do not count.
     """
-    fastest = {verdict.configuration.solver: verdict for verdict in ranked_qualifying(verdicts)}
+    fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
     for solver, own in verdicts.of.items():
         whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own

@@ -45,7 +45,7 @@ from scipy.stats import binom, nbinom
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import Delays
-from dpbench.analysis.statistics import holm
+from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
@@ -127,13 +127,7 @@ def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
     """Return the late timings, proven or doubtful, of every scaled replay and loop by run id."""
-    runs = [
-        run
-        for run in records.runs
-        if run.units == "scaled"
-        and run.has_steps
-        and not (run.is_baseline_law or run.slowdown > 0.0)
-    ]
+    runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
@@ -157,6 +151,10 @@ def find_late_timings(
     return grouped((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
 
 
+def _is_tested(run: RunRecord) -> bool:
+    return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
+
+
 def _usable(run: RunRecord, delays: Delays) -> Delays:
     """Return the delays without their waits where those may be for the run's own threads."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
@@ -166,7 +164,7 @@ def _usable(run: RunRecord, delays: Delays) -> Delays:
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
     """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
     family = [test for test in tests if not math.isnan(test.machine)]
-    adjusted = holm(np.array([test.p for test in family]))
+    adjusted = adjust_holm(np.array([test.p for test in family]))
     return [
         *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
         *(test for test in tests if math.isnan(test.machine)),

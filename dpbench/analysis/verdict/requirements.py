@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.descriptions import SuiteDescription
@@ -25,13 +25,8 @@ class Requirements:
     def of(cls, suite: SuiteDescription) -> Requirements:
         """Return the requirements in `suite.json`; defaults where it has none."""
         # Folders of earlier releases have them as `demand`.
-        known = suite.get("requirements", suite.get("demand", {}))
-        return cls(
-            known.get("error_move", cls.error_move),
-            known.get("failed_steps", cls.failed_steps),
-            known.get("p99_ms", cls.p99_ms),
-            known.get("deadline_ms", cls.deadline_ms),
-        )
+        known = dict(suite.get("requirements", suite.get("demand", {})))
+        return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
 
     @property
     def p99_ns(self) -> float:

@@ -117,19 +117,16 @@ class RunMatrix:
             where = experiment.mode, experiment.units, experiment.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
                 judged.append(window)
-            matrix.states[at] = verdict_of(
-                records, configuration, judged, [], verdicts.requirements
-            )
+            verdict = verdict_of(records, configuration, judged, [], matrix.requirements)
+            matrix.states[at] = verdict
         return matrix
 
     @property
     def references(self) -> list[Configuration]:
         """Configuration each solver is judged by; its first where nothing was judged."""
         judged = [verdict.configuration for verdict in self.verdicts.references]
-        of_solver: dict[str, Configuration] = {}
-        for configuration in self.configurations:
-            of_solver.setdefault(configuration.solver, configuration)
-        return judged or list(of_solver.values())
+        first = firsts(self.configurations, lambda configuration: configuration.solver)
+        return judged or list(first.values())
 
     @property
     def levels(self) -> list[str]:

@@ -94,13 +94,10 @@ def _bounding_steps(
     """Return the hardest step of each run, and the step at its p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
-        run, time_ns = runs[run_id], steps.time_ns
-        p99 = p99_ns(run, time_ns)
-        largest = float(np.nanmax(time_ns))
-        found[run_id] = (
-            _slow_step(run, steps, largest),
-            _slow_step(run, steps, largest if math.isnan(p99) else p99),
-        )
+        run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
+        p99 = p99_ns(run, steps.time_ns)
+        times_ns = largest, largest if math.isnan(p99) else p99
+        found[run_id] = _slow_step(run, steps, times_ns[0]), _slow_step(run, steps, times_ns[1])
     return found
 
 

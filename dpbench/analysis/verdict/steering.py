@@ -93,20 +93,14 @@ class ThrusterControlLoops:
 
 def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
     """Select runs that command thrusters, in scenarios where a run is right throughout."""
-    runs = [
-        run
-        for run in records.select(mode="closed_loop")
-        if isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
-    ]
-    right = sorted(
-        (run for run in runs if is_right_to_the_end(run, requirements)),
-        key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m),
-    )
+    loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
+    runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
+    right = [run for run in runs if is_right_to_the_end(run, requirements)]
+    right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
     best = firsts(right, lambda run: run.scenario)
-    known = [run for run in runs if run.scenario in best]
-    return ThrusterControlLoops(
-        best, grouped(known, lambda run: run.configuration.in_common_formulation.label)
-    )
+    known = (run for run in runs if run.scenario in best)
+    configurations = grouped(known, lambda run: run.configuration.in_common_formulation.label)
+    return ThrusterControlLoops(best, configurations)
 
 
 def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:

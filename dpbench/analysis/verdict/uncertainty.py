@@ -47,7 +47,7 @@ class Uncertainty:
         return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
 
 
-def uncertainty_of(records: Records) -> Uncertainty:
+def estimate_uncertainty(records: Records) -> Uncertainty:
     """Return the uncertainty of the times of a result folder."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):

@@ -20,24 +20,17 @@ from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
     LATE,
     NEAR,
     OWN_DOING,
-    Doubt,
     Finding,
     State,
     worst_first,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.time_findings import (
-    find_hidden_work,
-    find_slow_loops,
-    judge_times,
-    report_late_timings,
-    time_evidence,
-)
 from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
@@ -100,12 +93,9 @@ class Verdict:
     @property
     def missing(self) -> tuple[Finding, ...]:
         """Doubts, times near a limit, gaps and missing kinds of run: why it does not pass."""
-        kinds: tuple[tuple[int, Doubt], ...] = (
-            (self.loops, "no closed loop"),
-            (self.replays + self.windows, "no replay"),
-        )
-        absent = tuple(Finding(kind) for count, kind in kinds if not count)
-        return (*self.doubts, *self.near, *self.gaps, *absent)
+        no_loop = () if self.loops else (Finding("no closed loop"),)
+        no_replay = () if self.replays or self.windows else (Finding("no replay"),)
+        return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,13 +176,14 @@ def verdict_of(
     if not ran:
         return Verdict(configuration, "not run", refusal=detail(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    evidence = time_evidence(records, requirements)
-    times, figures = judge_times(records, replays, requirements, evidence.uncertainty)
-    times += find_slow_loops(ran, requirements, evidence.uncertainty)
-    times += report_late_timings(ran, evidence.late) + find_hidden_work(ran)
-    late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_wrong(ran, requirements), *_failing(ran, requirements), *_own_doing(ran), *late]
-    doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)
+    late_timings, uncertainty = time_findings.time_evidence(records, requirements)
+    times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
+    times += time_findings.find_slow_loops(ran, requirements, uncertainty)
+    times += time_findings.report_late_timings(ran, late_timings)
+    times += time_findings.find_hidden_work(ran)
+    late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
+    causes = [*_find_wrong(ran, requirements), *_find_ended(ran), *late]
+    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
         _state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
@@ -208,10 +199,6 @@ def verdict_of(
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **figures,
     )
-
-
-def _of_kinds(findings: Sequence[Finding], kinds: Sequence[str]) -> list[Finding]:
-    return [finding for finding in findings if finding.kind in kinds]
 
 
 def _state(
@@ -241,7 +228,7 @@ def _evaluated_steps(run: RunRecord) -> int:
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))
 
 
-def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
+def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
     """Find where the reference was run and these runs were not, or not as far."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
@@ -257,27 +244,27 @@ def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
-    """Find answers too far from the optimum, and steps without one."""
+def _find_wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    """Find answers too far from the optimum, steps without one, and failed steps."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
-    return [*no_answer, *worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
-
-
-def _failing(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
-    return worst_first("failed", failing, lambda run: run.failed_steps)
+    return [
+        *no_answer,
+        *worst_first("inaccurate", wrong, lambda run: run.error_move_max),
+        *worst_first("failed", failing, lambda run: run.failed_steps),
+    ]
 
 
-def _own_doing(runs: Sequence[RunRecord]) -> list[Finding]:
+def _find_ended(runs: Sequence[RunRecord]) -> list[Finding]:
     """Find runs that the solver ended, or never came back from."""
     ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
     return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
 
 
-def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
+def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
     """Find runs that ended early or could not be judged."""
     doubts = []
     for run in runs:

@@ -10,7 +10,8 @@ import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.statistics import none_of
-from dpbench.analysis.suites.study import Study, behind_cm, mean_cm, worst_run
+from dpbench.analysis.suites.study import Study
+from dpbench.analysis.suites.study_pictures import behind_cm, mean_cm, worst_run
 
 MOST_RUNS = 20_000
 """So many runs of studies stand on the page with their errors; the rest is in the files."""

@@ -8,7 +8,7 @@ import numpy as np
 from pandas.api.types import is_numeric_dtype
 
 from dpbench.analysis.statistics import none_of
-from dpbench.analysis.suites import study as pictures
+from dpbench.analysis.suites import study_pictures as pictures
 from dpbench.analysis.suites.study import (
     ALPHA,
     NOTHING,

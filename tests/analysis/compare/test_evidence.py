@@ -14,7 +14,7 @@ from dpbench.analysis.compare.evidence import (
     remove_machine_factor,
     remove_reference_factor,
 )
-from dpbench.analysis.statistics import holm
+from dpbench.analysis.statistics import adjust_holm
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -35,7 +35,7 @@ def test_holm_rejects_what_the_step_down_procedure_rejects(p: list[float], alpha
         if values[index] > thresholds[i]:
             break
         wanted[index] = True
-    assert ((holm(values) <= alpha) == wanted).all()
+    assert ((adjust_holm(values) <= alpha) == wanted).all()
 
 
 def configurations(

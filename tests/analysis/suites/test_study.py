@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.statistics import holm
+from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.suites.study import NOTHING, Study, mean_over_points, paired_difference
 
 COLUMNS = ["point", "replicate"]
@@ -211,7 +211,7 @@ def test_claims_hold_together_over_all_configurations() -> None:
         for run in runs:
             run.r_95_m = 1.0 + 0.01 * rng.normal()
         others = _study(runs).configurations[1:]
-        adjusted = holm(np.array([c.p_unadjusted[0] for c in others]))
+        adjusted = adjust_holm(np.array([c.p_unadjusted[0] for c in others]))
         assert [c.p_differs for c in others] == pytest.approx(adjusted.tolist())
         wrong += any(c.differs for c in others)
     assert wrong <= 6

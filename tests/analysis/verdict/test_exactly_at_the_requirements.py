@@ -85,9 +85,3 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
     records.loop("daqp", **figures)
     assert survived(only_run(records)) is kept
     assert cost_ratio(only_run(records)) == cost / 80.0
-
-
-def test_a_loop_that_was_cut_survives_nothing(records: Any) -> None:
-    records.loop("daqp", done=119, closed_loop_cost=80.0, exact_cost=80.0, limit_violations=0.0)
-    assert math.isnan(cost_ratio(only_run(records)))
-    assert not survived(only_run(records))

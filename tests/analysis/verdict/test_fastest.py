@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.fastest import qualifying, ranked_qualifying
+from dpbench.analysis.verdict.fastest import rank_configurations, rank_solvers
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
 from dpbench.report.report import Report
@@ -19,7 +19,7 @@ def _found(records: Any) -> Verdicts:
 
 
 def _labels(records: Any) -> list[str]:
-    return [verdict.configuration.label for verdict in qualifying(_found(records))]
+    return [verdict.configuration.label for verdict in rank_configurations(_found(records))]
 
 
 def test_the_verdict_stays_on_the_default_route(records: Any) -> None:
@@ -46,7 +46,7 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    assert [judged_on(v) for v in qualifying(_found(records))] == ["1 replay", "1 replay"]
+    assert [judged_on(v) for v in rank_configurations(_found(records))] == ["1 replay", "1 replay"]
     text = Report.of(records.results()).recommendation.sentence
     assert text.startswith("Nothing contradicts daqp (native, warm, default): right on every step")
     assert "of 1 replay" in text and "no closed loop was run" in text
@@ -83,8 +83,11 @@ def test_short_sequences_have_a_fastest_configuration_without_p99(records: Any) 
     """With too few steps for a p99 the largest step ranks, and the text says so."""
     records.replay("slow", steps=100, median_us=40.0)
     records.replay("fast", steps=100, median_us=10.0)
-    assert [v.configuration.solver for v in qualifying(_found(records))] == ["fast", "slow"]
-    assert math.isnan(qualifying(_found(records))[0].p99_ns)
+    assert [v.configuration.solver for v in rank_configurations(_found(records))] == [
+        "fast",
+        "slow",
+    ]
+    assert math.isnan(rank_configurations(_found(records))[0].p99_ns)
     records.replay("daqp", steps=100, median_us=5.0)
     assert "p99" not in records.ending()["answer"] and "p50" in records.ending()["answer"]
 
@@ -110,4 +113,4 @@ def test_no_candidate_is_said_plainly(records: Any, fill: bool, says: str) -> No
     if fill:
         records.replay("osqp", error=0.5)
     assert Report.of(records.results()).recommendation.sentence.startswith(says)
-    assert ranked_qualifying(_found(records)) == []
+    assert rank_solvers(_found(records)) == []

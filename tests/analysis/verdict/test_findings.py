@@ -17,7 +17,7 @@ from dpbench.analysis.verdict.findings import (
     STATES,
     worst_first,
 )
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.requirements import Requirements, cost_ratio, is_right, survived
 
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
@@ -67,3 +67,13 @@ def test_a_run_is_right_with_all_steps_and_no_memory(
     records.loop("daqp", **columns)
     (run,) = records.view().runs
     assert is_right(run, Requirements()) is right
+
+
+@pytest.mark.parametrize(("done", "ratio"), [(119, None), (120, 1.5), (121, 1.5)])
+def test_the_cost_of_a_complete_loop(records: Any, done: int, ratio: float | None) -> None:
+    columns = {"closed_loop_cost": 3.0, "exact_cost": 2.0, "limit_violations": 0}
+    records.loop("daqp", steps=120, done=done, **columns)
+    (run,) = records.view().runs
+    found = cost_ratio(run)
+    assert math.isnan(found) if ratio is None else found == ratio
+    assert not survived(run)

@@ -15,8 +15,8 @@ from dpbench.analysis.verdict.fastest import (
     fastest_first,
     fastest_of,
     known_record,
-    qualifying,
-    ranked_qualifying,
+    rank_configurations,
+    rank_solvers,
 )
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
@@ -79,8 +79,8 @@ def test_only_the_most_widely_timed_are_ranked() -> None:
         _verdict("absent", 10.0, replays=3, gaps=(Finding("absent"),)),
         _verdict("untimed", 10.0, replays=3, timed_on=""),
     )
-    assert [v.configuration.solver for v in qualifying(verdicts)] == ["piqp", "daqp"]
-    assert qualifying(_verdicts()) == []
+    assert [v.configuration.solver for v in rank_configurations(verdicts)] == ["piqp", "daqp"]
+    assert rank_configurations(_verdicts()) == []
 
 
 @pytest.mark.parametrize(
@@ -107,14 +107,14 @@ def test_usual_settings_within_three_percent_are_chosen(
 def test_another_route_is_never_alike(routes: tuple[str, str]) -> None:
     best = _verdict("daqp", 100.0, settings="high", route=routes[0])
     usual = _verdict("daqp", 101.0, route=routes[1])
-    assert ranked_qualifying(_verdicts(usual, best)) == [best]
+    assert rank_solvers(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize("policies", [("reuse", "fresh"), ("fresh", "reuse")])
 def test_another_policy_is_never_alike(policies: tuple[str, str]) -> None:
     best = _verdict("daqp", 100.0, settings="high", policy=policies[0])
     usual = _verdict("daqp", 101.0, policy=policies[1])
-    assert ranked_qualifying(_verdicts(usual, best)) == [best]
+    assert rank_solvers(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize(

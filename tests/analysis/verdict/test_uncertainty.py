@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of, usual_factor
+from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty, usual_factor
 
 
 def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: Any) -> None:
@@ -22,7 +22,7 @@ def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: 
 
 def _of(records: Any) -> tuple[Uncertainty, list[tuple[float, float, float]]]:
     """The uncertainty and, by configuration, the factors of the middle, slow and slowest round."""
-    found = uncertainty_of(records.view())
+    found = estimate_uncertainty(records.view())
     factors = zip(found.middle.values(), found.slow.values(), found.slowest.values(), strict=True)
     return found, list(factors)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.suites import study
+from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import studies
 from dpbench.report.charts.render import vega
 from dpbench.report.topics import study as topic
@@ -58,9 +58,9 @@ def test_of_a_large_study_some_seas_are_drawn(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The least and the largest among them; points become fields that hold all their seas."""
-    monkeypatch.setattr(study, "MOST_DOTS", 9)
-    monkeypatch.setattr(study, "MOST_POINTS", 20)
-    monkeypatch.setattr(study, "FIELDS", 3)
+    monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
+    monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
+    monkeypatch.setattr(study_pictures, "FIELDS", 3)
     found = _fill(records, points=60, seas=2)
     held, behind = found.figures
     assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
