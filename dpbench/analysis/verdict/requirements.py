@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.descriptions import SuiteDescription
@@ -25,7 +26,7 @@ class Requirements:
     def of(cls, suite: SuiteDescription) -> Requirements:
         """Return the requirements in `suite.json`; defaults where it has none."""
         # Folders of earlier releases have them as `demand`.
-        known = dict(suite.get("requirements", suite.get("demand", {})))
+        known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
         return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
 
     @property

@@ -1,7 +1,5 @@
 """The steps of runs against group-bys of pandas, and planted hard ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What solvers said of a batch: right, wrong or nothing, and who comes first."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Consequence analysis: answers counted by hand, times of a batch, and what the topic says."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random problems: what counts as what, and that nothing else counts them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from typing import Any

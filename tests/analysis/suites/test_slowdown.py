@@ -1,7 +1,5 @@
 """Slow computers: who survives what, and that nothing else counts such loops."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

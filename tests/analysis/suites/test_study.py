@@ -1,7 +1,5 @@
 """Statistics of studies against textbook tests, simulation and counts by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, cast
@@ -260,15 +258,3 @@ def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:
         run.solver = "somebodys_own"
     assert [c.tolerance for c in _study(runs).configurations] == [None, None]
     assert _study(runs).loosest == {}
-
-
-def test_the_map_of_what_is_held() -> None:
-    """At each point the share of seas whose radial error stays within the radius, by hand."""
-    runs = _runs({"a": 0.0}, points=3, seas=8)
-    study = _study(runs, radius_m=1.1)
-    table = study.held_map("a")
-    for point in range(3):
-        own = [run.r_tail_max_m <= 1.1 for run in runs if run.study_point == point]
-        assert table.loc[point, "held"] == pytest.approx(sum(own) / 8)
-        assert table.loc[point, "hs"] == float(point)
-    assert study.replicates == 8

@@ -1,7 +1,5 @@
 """Horizon sweeps: growth on known power laws, and when a topic is."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -136,9 +136,14 @@ def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> No
 
 
 def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
-    """Three rounds count and one is disturbed: one of four."""
+    """One of four where three count, three of three where all are disturbed and count."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
     assert "1 of 4 rounds disturbed" in records.ending()["machine"]
+    records._runs[-1] |= {"disturbed_rounds": 3, "counting_disturbed": 3}
+    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
+    topic = trust_topic(records.view())
+    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
+    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
@@ -146,15 +151,6 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
     records.loop("daqp")
     assert trust_topic(records.view()) is None
     assert "machine" not in records.ending()
-
-
-def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
-    """Three rounds count though all are disturbed: three of three."""
-    records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))
-    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
-    topic = trust_topic(records.view())
-    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
-    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
 
 
 def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:

@@ -1,7 +1,5 @@
 """P-values of late timings worked by hand: stalls of the machine, loops, replays, the deadline."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

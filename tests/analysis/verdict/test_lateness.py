@@ -1,7 +1,5 @@
 """Late timings beyond what the machine explains, against planted delays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ranking and recommendation of verdicts made by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -103,17 +101,20 @@ def test_usual_settings_within_three_percent_are_chosen(
     assert found is not None and found.configuration.settings == settings
 
 
-@pytest.mark.parametrize("routes", [("native", "qpsolvers"), ("qpsolvers", "native")])
-def test_another_route_is_never_alike(routes: tuple[str, str]) -> None:
-    best = _verdict("daqp", 100.0, settings="high", route=routes[0])
-    usual = _verdict("daqp", 101.0, route=routes[1])
-    assert rank_solvers(_verdicts(usual, best)) == [best]
-
-
-@pytest.mark.parametrize("policies", [("reuse", "fresh"), ("fresh", "reuse")])
-def test_another_policy_is_never_alike(policies: tuple[str, str]) -> None:
-    best = _verdict("daqp", 100.0, settings="high", policy=policies[0])
-    usual = _verdict("daqp", 101.0, policy=policies[1])
+@pytest.mark.parametrize(
+    ("fastest", "other"),
+    [
+        ({"route": "native"}, {"route": "qpsolvers"}),
+        ({"route": "qpsolvers"}, {"route": "native"}),
+        ({"policy": "reuse"}, {"policy": "fresh"}),
+        ({"policy": "fresh"}, {"policy": "reuse"}),
+    ],
+)
+def test_another_route_or_policy_is_never_alike(
+    fastest: dict[str, str], other: dict[str, str]
+) -> None:
+    best = _verdict("daqp", 100.0, settings="high", **fastest)
+    usual = _verdict("daqp", 101.0, **other)
     assert rank_solvers(_verdicts(usual, best)) == [best]
 
 

@@ -1,7 +1,5 @@
 """Experiments of runs and the state of each run in its experiment."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """How much slower a computer may be, by steps that are timed several times."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Solvers of controllers that command thrusters, compared with those that command forces."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace

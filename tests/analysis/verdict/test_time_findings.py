@@ -1,7 +1,5 @@
 """Findings on times at and beside the limits of the requirements."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The uncertainty of times from the medians of the rounds of replays."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The parts of a verdict: judged steps, reference, gaps, causes and doubts, worked by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
