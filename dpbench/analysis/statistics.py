@@ -81,8 +81,8 @@ class MeanEstimate:
         if not self.is_supported:
             return Interval(self.value, -math.inf, math.inf)
         quantile = float(stdtrit(self.df, TAILS[1]))
-        below = max(quantile, self._unskewed(quantile))
-        above = max(quantile, -self._unskewed(-quantile))
+        below = max(quantile, self._invert_skew(quantile))
+        above = max(quantile, -self._invert_skew(-quantile))
         return Interval(
             self.value, self.value - self.error * below, self.value + self.error * above
         )
@@ -92,7 +92,9 @@ class MeanEstimate:
         if not self.is_supported:
             return 1.0
         distance = (self.value - bound) / self.error
-        return float(max(stdtr(self.df, -distance), stdtr(self.df, -self._skewed(distance))))
+        return float(
+            max(stdtr(self.df, -distance), stdtr(self.df, -self._transform_skew(distance)))
+        )
 
     def p_below(self, bound: float) -> float:
         """Return the one-sided p-value of "the mean is smaller than `bound`"; 1 if unsupported."""
@@ -102,12 +104,12 @@ class MeanEstimate:
         """Return the two-sided p-value of "the mean is farther than `bound` from 0"."""
         return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
 
-    def _skewed(self, statistic: float) -> float:
+    def _transform_skew(self, statistic: float) -> float:
         """Apply Hall's transformation to a Studentised mean."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
-    def _unskewed(self, quantile: float) -> float:
+    def _invert_skew(self, quantile: float) -> float:
         """Invert Hall's transformation."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:

@@ -83,18 +83,21 @@ def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float
     """Compare every figure of every pair; a pair whose outcome changed is judged by that."""
     answers = []
     for pair in pairs:
-        for measure, in_a, in_b, repeats in _figures(a, b, pair):
-            change = _change(measure, in_a, in_b, margin) if repeats else "not comparable"
+        for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
+            change = _classify_change(measure, in_a, in_b, margin) if repeats else "not comparable"
             answers.append(Answer(pair, measure, in_a, in_b, change))
     return answers
 
 
-def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range, bool]]:
+def _compare_figures(
+    a: Records, b: Records, pair: Pair
+) -> Iterator[tuple[Measure, Range, Range, bool]]:
     """Yield every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
-        yield OUTCOME, *(_point(ORDER.index(outcome)) for outcome in outcomes), not by_clock
+        in_a, in_b = (_point_range(ORDER.index(outcome)) for outcome in outcomes)
+        yield OUTCOME, in_a, in_b, not by_clock
         if not by_clock:
             return
     if not (pair.a.has_steps or pair.b.has_steps):
@@ -102,25 +105,26 @@ def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Rang
     steps = [view.counting_steps(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
-        yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done), True
+        yield DONE, _point_range(pair.a.steps_done), _point_range(pair.b.steps_done), True
     repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_before_time_limit, steps))
     unlimited = complete and all(np.isinf(_before_time_limit(one)) for one in steps)
     accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
     ranges_a, ranges_b = (
-        _accuracy(one, run, repeated) for one, run in zip(steps, (pair.a, pair.b), strict=True)
+        _accuracy_ranges(one, run, repeated)
+        for one, run in zip(steps, (pair.a, pair.b), strict=True)
     )
     for measure in ACCURACY:
         yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
-        values = (_point(getattr(run, measure.column)) for run in (pair.a, pair.b))
-        yield measure, *values, unlimited
+        in_a, in_b = (_point_range(getattr(run, measure.column)) for run in (pair.a, pair.b))
+        yield measure, in_a, in_b, unlimited
 
 
-def _point(value: float) -> Range:
+def _point_range(value: float) -> Range:
     return float(value), float(value)
 
 
-def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
+def _classify_change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
     """Classify a change; two missing figures are the same, one that went missing is worse."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
@@ -145,11 +149,11 @@ def _before_time_limit(steps: pd.DataFrame) -> float:
     return float(stopped.min()) if len(stopped) else np.inf
 
 
-def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
+def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
     """Return the extremes over the counting rounds of each figure, on the first `common` steps."""
     counting = steps[steps["k"] < common]
     if counting.empty:
-        return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}
+        return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}
     failed, true = failed_steps(counting), counting["true"].where(decided(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     by_round = {

@@ -112,7 +112,7 @@ def remove_machine_factor(
         # would count.
         keep = np.arange(len(logs)) != i
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * typical2)
+        spread2, df[i] = _estimate_spread(logs[keep], labels[keep], prior, own_share * typical2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -143,7 +143,9 @@ def remove_reference_factor(
     for i, at in enumerate(reference.tolist()):
         keep = (rows != i) & (rows != at)
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2)
+        spread2, df[i] = _estimate_spread(
+            logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2
+        )
         centre[i] = logs[at] if at >= 0 else 0.0
         # The reference has noise of its own, as large as any other's.
         both2 = [max(0.0, own[j] ** 2 - typical2) for j in (i, at)]
@@ -151,7 +153,7 @@ def remove_reference_factor(
     return Evidence(logs - centre, centre, error, df)
 
 
-def _spread(
+def _estimate_spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
     """Variance of the configurations around the median of their group, moderated, and its df.

@@ -59,22 +59,22 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     ------
     ResultsError : when no cell of one folder has a partner in the other.
     """
-    cells_a, cells_b = _by_key(a), _by_key(b)
+    cells_a, cells_b = _runs_by_key(a), _runs_by_key(b)
     pairs, changed, lost = [], [], []
     for key in (key for key in cells_a if key in cells_b):
         pair = Pair(cells_a[key], cells_b[key])
         outcomes = pair.a.outcome, pair.b.outcome
         if problem_key(pair.a) != problem_key(pair.b):
-            changed.append(_name(pair.a))
+            changed.append(_cell_name(pair.a))
         elif "lost" in outcomes:
-            lost.append(_name(pair.a))
+            lost.append(_cell_name(pair.a))
         elif outcomes != ("refused", "refused"):
             pairs.append(pair)
     if not pairs and not lost:
         missing = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
-    only_a = [_name(run) for key, run in cells_a.items() if key not in cells_b]
-    only_b = [_name(run) for key, run in cells_b.items() if key not in cells_a]
+    only_a = [_cell_name(run) for key, run in cells_a.items() if key not in cells_b]
+    only_b = [_cell_name(run) for key, run in cells_b.items() if key not in cells_a]
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
@@ -83,13 +83,13 @@ def cell_key(run: RunRecord) -> dict[str, Any]:
     return {column: getattr(run, column) for column in KEY}
 
 
-def _by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
+def _runs_by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
     return {tuple(cell_key(run).values()): run for run in lasting}
 
 
-def _name(run: RunRecord) -> str:
+def _cell_name(run: RunRecord) -> str:
     mode = run.mode.replace("_", " ")
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 

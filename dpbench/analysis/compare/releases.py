@@ -40,7 +40,7 @@ class Release:
     @property
     def load_ns(self) -> float:
         """The load kernel beside its replays, geometric mean over the folders [ns]."""
-        return _mean([run.load_kernel_ns for run in self.runs.values()])
+        return _geometric_mean([run.load_kernel_ns for run in self.runs.values()])
 
     @property
     def error_move(self) -> float:
@@ -50,12 +50,12 @@ class Release:
     @property
     def claimed_not_true(self) -> float:
         """Most steps a round of a run that were claimed solved and are not."""
-        return largest([_per_round(run, run.claimed_not_true) for run in self.runs.values()])
+        return largest([_count_per_round(run, run.claimed_not_true) for run in self.runs.values()])
 
     @property
     def failed_steps(self) -> float:
         """Most failed steps a round of a run."""
-        return largest([_per_round(run, run.failed_steps) for run in self.runs.values()])
+        return largest([_count_per_round(run, run.failed_steps) for run in self.runs.values()])
 
     @property
     def outcome(self) -> str:
@@ -134,10 +134,10 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
     if not common:
         allowed = "folders of the same suite"
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
-    units = {name: _units(records, solver) for name, records in folders.items()}
-    by_cell = [_history(runs, units) for runs in common.values()]
+    units = {name: _time_units(records, solver) for name, records in folders.items()}
+    by_cell = [_build_history(runs, units) for runs in common.values()]
     by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _repeated(history, units)]
+    ratios = [ratio for history in by_cell for ratio in _folder_ratios(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
@@ -155,7 +155,7 @@ def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunReco
 
 def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
     """Return the solver whose p50 the times of each folder are divided by."""
-    timed = [{run.solver for run in _timed(records)} for records in folders.values()]
+    timed = [{run.solver for run in _timed_replays(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
     if not known:
@@ -165,21 +165,23 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
     return known[0]
 
 
-def _timed(records: Records) -> Iterator[RunRecord]:
+def _timed_replays(records: Records) -> Iterator[RunRecord]:
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
-def _units(records: Records, solver: str) -> Mapping[str, float] | None:
+def _time_units(records: Records, solver: str) -> Mapping[str, float] | None:
     """Return the p50 of the reference's most usual run, by problem; None without a reference."""
     if not solver:
         return None
     runs = sorted(
-        (r for r in _timed(records) if r.solver == solver), key=usual_first_key, reverse=True
+        (r for r in _timed_replays(records) if r.solver == solver),
+        key=usual_first_key,
+        reverse=True,
     )
     return {run.problem: run.algo_p50_ns for run in runs}
 
 
-def _history(
+def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
     builds = len({run.build for run in runs.values()})
@@ -190,34 +192,38 @@ def _history(
     releases = []
     for version, of_version in grouped(runs.items(), lambda item: version_of(item[1])).items():
         times = (
-            _mean([_time(run, column, units[name]) for name, run in of_version])
+            _geometric_mean([_time_in_units(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
         )
         releases.append(Release(version, dict(of_version), *times))
-    return History(sorted(releases, key=lambda release: _order(release.version)))
+    return History(sorted(releases, key=lambda release: _version_key(release.version)))
 
 
-def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+def _time_in_units(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
     return float(getattr(run, column)) / divisor
 
 
-def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None]) -> Iterator[float]:
+def _folder_ratios(
+    history: History, units: Mapping[str, Mapping[str, float] | None]
+) -> Iterator[float]:
     """Yield the ratio of the folders' largest and least p50 of each version."""
     for release in history.releases:
-        times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
+        times = [
+            _time_in_units(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
+        ]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)
 
 
-def _per_round(run: RunRecord, count: float) -> float:
+def _count_per_round(run: RunRecord, count: float) -> float:
     """Return a count over all rounds of a replay as one per round; a loop has one round."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
-def _order(version: str) -> tuple[Any, ...]:
+def _version_key(version: str) -> tuple[Any, ...]:
     """Sort key: releases by number, those without one first."""
     try:
         return True, Version(version.partition(" ")[0]), version
@@ -225,7 +231,7 @@ def _order(version: str) -> tuple[Any, ...]:
         return False, Version("0"), version
 
 
-def _mean(values: Sequence[float]) -> float:
+def _geometric_mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 

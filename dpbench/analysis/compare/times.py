@@ -127,10 +127,10 @@ def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(firsts(filter(None, timings), _identity).values())
+    return list(firsts(filter(None, timings), _evidence_key).values())
 
 
-def _identity(timing: Timing) -> tuple[object, ...]:
+def _evidence_key(timing: Timing) -> tuple[object, ...]:
     """Return a key without the settings' name: those without effect are one run, one evidence."""
     unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
@@ -148,12 +148,12 @@ def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str,
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
-        if not np.isfinite(_machine(own).kernel):
+        if not np.isfinite(_kernel_ratios(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
-            reasons[name] = f"{_which(disturbed)} disturbed"
+            reasons[name] = f"{_name_runs(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_which(hidden)}"
+            reasons[name] = f"nothing tells how quiet {_name_runs(hidden)}"
         else:
             reasons[name] = ""
     return reasons
@@ -215,7 +215,7 @@ def compare_to_reference(
     return [Compared(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
-def _which(of: Sequence[bool]) -> str:
+def _name_runs(of: Sequence[bool]) -> str:
     """Return which of two runs, with its verb."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
@@ -232,10 +232,10 @@ def compare_times(
     """
     groups = [t.problem for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _machine(own) for n, own in grouped(timings, lambda t: t.problem).items()}
+    machines = {n: _kernel_ratios(own) for n, own in grouped(timings, lambda t: t.problem).items()}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
-    met = _load_met(timings, labels)
+    met = _load_ratios(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
     configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
@@ -256,10 +256,10 @@ def compare_times(
     rest = iter(assessments[len(timings) :])
     shared = []
     for name, machine in machines.items():
-        logs_shared = factors[name], machine.kernel, machine.load
-        assessment = None if unjudged[name] else next(rest)
-        ratios = (float(np.exp(log)) for log in logs_shared)
-        shared.append(Shared(name, *ratios, groups.count(name), assessment, unjudged[name]))
+        common_logs = factors[name], machine.kernel, machine.load
+        factor, kernel, load = (float(np.exp(log)) for log in common_logs)
+        assessment, count = None if unjudged[name] else next(rest), groups.count(name)
+        shared.append(Shared(name, factor, kernel, load, count, assessment, unjudged[name]))
     return compared, shared
 
 
@@ -287,12 +287,12 @@ class _Machine:
         return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
-def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
+def _load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
     """Return (N,) log(B/A) of a configuration's load kernel less the median over its sequence.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
-    logs = _logs(timings, "load_kernel_ns")
+    logs = _log_ratios(timings, "load_kernel_ns")
     met = np.zeros(len(logs))
     for name in np.unique(labels[np.isfinite(logs)]):
         known = (labels == name) & np.isfinite(logs)
@@ -300,20 +300,20 @@ def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
     return met
 
 
-def _logs(timings: Sequence[Timing], column: str) -> Floats:
+def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
     """Return (N,) log(B/A) of a column of times."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
-def _machine(timings: Sequence[Timing]) -> _Machine:
+def _kernel_ratios(timings: Sequence[Timing]) -> _Machine:
     """Return the kernels of one sequence, timed in every worker; NaN where a folder has none."""
-    columns = (_logs(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
+    columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
     return _Machine(*(median(logs[np.isfinite(logs)]) for logs in columns))
 
 
-def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
+def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
     """Return the times (rounds, steps) [ns] of the rounds that count."""
     counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
@@ -337,7 +337,7 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
 
 
 def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
-    a, b = _rounds(records_a, pair.a), _rounds(records_b, pair.b)
+    a, b = _round_times(records_a, pair.a), _round_times(records_b, pair.b)
     if a is None or b is None:
         return None
     steps = a.columns.intersection(b.columns)
@@ -354,14 +354,14 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )
-    own = float(np.sqrt(over_steps**2 + _variance(a_ns) + _variance(b_ns)))
+    own = float(np.sqrt(over_steps**2 + _jackknife_variance(a_ns) + _jackknife_variance(b_ns)))
     k = steps.to_numpy(dtype=np.int64)
     medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
     mean = float(logs.mean())
     return Timing(pair, mean, own, len(steps), rounds, medians, k, best_a_ns, best_b_ns)
 
 
-def _variance(times: Floats) -> float:
+def _jackknife_variance(times: Floats) -> float:
     """Return the variance of a run's mean log minimum time (rounds, steps): a jackknife.
 
     A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the

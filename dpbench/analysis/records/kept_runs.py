@@ -60,12 +60,12 @@ class KeptRun:
     def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
         """Keep a run; one of more than `most` steps is thinned, see `thinned_indices`."""
         chosen, extra = thinned_indices(run, most)
-        hard = {measure: _hard(run, measure) for measure in MEASURES}
+        hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
         is_whole = len(chosen) == len(run.k)
         return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
 
 
-def _hard(run: RunSteps, measure: Measure) -> list[HardRow]:
+def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
     rows = []
     for hard in hardest(run, measure):
         i = hard.at

@@ -57,7 +57,7 @@ class Records:
         self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
-        self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
+        self.runs = _select_common_formulation([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._delays: dict[str, Delays] = {}
@@ -197,18 +197,18 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
     return routes
 
 
-def _commonly_formulated(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Select the runs in the common formulation of their problem, and the baseline law's.
 
     Where a problem was never run in `COMMON`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
     for run in runs:
-        problem = _problem(run)
+        problem = _problem_columns(run)
         if not run.is_baseline_law and (problem not in common or run.formulation == COMMON):
             common[problem] = run.formulation
-    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem(r)]]
+    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem_columns(r)]]
 
 
-def _problem(run: RunRecord) -> tuple[str, ...]:
+def _problem_columns(run: RunRecord) -> tuple[str, ...]:
     return run.mode, run.scenario, run.sequence, run.units

@@ -146,8 +146,9 @@ class RunRecord:
 
     def without_times(self) -> RunRecord:
         """Return the run as if nothing of it had been timed."""
-        timed: list[Any] = [one.name for one in fields(self) if one.name.endswith("_ns")]
-        return replace(self, **dict[str, Any].fromkeys(timed, np.nan))
+        times = (one.name for one in fields(self) if one.name.endswith("_ns"))
+        timed: dict[str, Any] = dict.fromkeys(times, np.nan)
+        return replace(self, **timed)
 
     @property
     def configuration(self) -> Configuration:
@@ -289,12 +290,12 @@ def records_of(runs: pd.DataFrame) -> list[RunRecord]:
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord(**dict(zip(names, row, strict=True)), **_described(str(cell), shared))
+        RunRecord(**dict(zip(names, row, strict=True)), **_read_description(str(cell), shared))
         for *row, cell in zip(*values, runs["cell"], strict=True)
     ]
 
 
-def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a record that `cell` has.
 
     The runs of a campaign have nearly equal ones: an equal part is kept once, in `shared`.
@@ -305,7 +306,7 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         described = parse_json(cell)
         read = _Described.model_validate(described)
     except ValueError as error:
-        raise _damaged("cell", error) from error
+        raise _description_error("cell", error) from error
     files = described.get("scenario") or {}
     for whole in files.values():
         if isinstance(whole, dict):
@@ -316,13 +317,13 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         try:
             shared[key] = source_from(read.source)
         except ValueError as error:
-            raise _damaged("cell.source", error) from error
+            raise _description_error("cell.source", error) from error
     same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
     x = shared.setdefault(repr(read.study.x), read.study.x)
     return {"files": files, "source": shared[key], "x": x, **same}
 
 
-def _damaged(key: str, error: ValueError) -> ResultsError:
+def _description_error(key: str, error: ValueError) -> ResultsError:
     """Return the error of a description that is no cell's."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)

@@ -158,18 +158,18 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
-    error = _over(np.fmax, at, len(steps), rows.error_move)
+    error = _reduce_by_step(np.fmax, at, len(steps), rows.error_move)
     said = last.copy()
     worst = np.flatnonzero(rows.error_move == error[at])
     said[at[worst]] = worst
     flags = {name: getattr(rows, name)[last] for name in _FLAGS}
     return RunSteps(
         k=steps,
-        time_ns=_over(np.fmin, at, len(steps), rows.total_ns),
-        raw_ns=_over(np.fmax, at, len(steps), rows.total_ns),
+        time_ns=_reduce_by_step(np.fmin, at, len(steps), rows.total_ns),
+        raw_ns=_reduce_by_step(np.fmax, at, len(steps), rows.total_ns),
         error=error,
-        iterations=_over(np.fmax, at, len(steps), rows.iterations),
-        n_active=_over(np.fmax, at, len(steps), rows.n_active),
+        iterations=_reduce_by_step(np.fmax, at, len(steps), rows.iterations),
+        n_active=_reduce_by_step(np.fmax, at, len(steps), rows.n_active),
         true=(rows.true | ~rows.known)[last],
         **flags,
         status=rows.status[said],
@@ -189,7 +189,7 @@ def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     return [HardStep(measure, float(values[i]), int(i)) for i in order]
 
 
-def _over(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
+def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
     """Return the least or largest known value of each step; NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)

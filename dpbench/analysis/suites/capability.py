@@ -55,7 +55,7 @@ class Answers:
 
 def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
     """Return the answers of each run, most right ones first, then the fastest."""
-    answers = [_answers(records, run) for run in runs if run.outcome != "refused"]
+    answers = [_count_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
@@ -107,12 +107,12 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
             source = runs[0].source
             assert isinstance(source, CapabilitySource), "runs at the boundary"
             vessel, sides = source.vessel_name, source.sides
-        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
+        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edge_rows(records, own, runs)
         plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
+def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
     """Return the columns `EDGES` of the rows of one plot in `capability.parquet`."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
@@ -129,7 +129,7 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
     return pd.DataFrame(rows, columns=list(EDGES))
 
 
-def _answers(records: Records, run: RunRecord) -> Answers:
+def _count_answers(records: Records, run: RunRecord) -> Answers:
     steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())

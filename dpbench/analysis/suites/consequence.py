@@ -89,25 +89,27 @@ def consequence_analyses(records: Records) -> list[Analysis]:
     asked = [run for run in records.consequence if run.outcome != "refused"]
     batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
-        _analysis(records, name, runs)
+        _build_analysis(records, name, runs)
         for name, runs in batches.items()
         if any(run.has_steps for run in runs)
     ]
 
 
-def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
+def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
     groups = grouped(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
     sample_s = math.nan if files is None else scenario_once(files).sample_s
     by_configuration = grouped(runs, lambda run: run.name)
-    answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
+    answers = [
+        _batch_answers(records, own, len(groups), sample_s) for own in by_configuration.values()
+    ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
-    spans = pd.concat([_spans(records, run, sample_s) for run in longest if run.has_steps])
+    spans = pd.concat([_state_spans(records, run, sample_s) for run in longest if run.has_steps])
     return Analysis(name, tuple(groups), spans, tuple(answers))
 
 
-def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Return the columns `SPAN` of one group, neighbours of one state joined."""
     rows = records.counting_steps(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
@@ -120,11 +122,11 @@ def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _answers(
+def _batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """Return the answers of one configuration, a run for each group."""
-    of_runs = [_counts(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
+    of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
@@ -138,7 +140,7 @@ def _answers(
     )
 
 
-def _counts(steps: pd.DataFrame) -> pd.Series[int]:
+def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
     """Count feasible, infeasible, held, refused, missed and untrue of one run."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
@@ -151,7 +153,8 @@ def _counts(steps: pd.DataFrame) -> pd.Series[int]:
     lies = claims["lies"]
     ever = {"missed": lies & infeasible, "untrue": lies | claims["empty_wrong"]}
     by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
-    return pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
+    counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
+    return counts
 
 
 def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:

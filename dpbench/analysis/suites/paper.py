@@ -47,7 +47,7 @@ def find_laws(view: Records, scenario: str) -> Pair:
     """Return the two laws of a scenario, each from a complete one of its longest loops."""
     loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation, default=None)
+    best = min(solved, key=_deviation_key, default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
     return Pair(best, clipped, view.count_scenario_steps(scenario))
 
@@ -111,7 +111,7 @@ def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _deviation(row: RunRecord) -> tuple[float, str]:
+def _deviation_key(row: RunRecord) -> tuple[float, str]:
     value = row.dev_position_max_m
     return (math.inf if math.isnan(value) else value, row.solver)
 
@@ -119,15 +119,15 @@ def _deviation(row: RunRecord) -> tuple[float, str]:
 def is_of_paper(view: Records, name: str) -> bool:
     """Return whether a scenario of the rows is the paper's own of that name."""
     scenario = view.scenario(name) if name in OF_PAPER else None
-    return scenario is not None and _content(scenario) == _own_content(name)
+    return scenario is not None and _document_content(scenario) == _packaged_content(name)
 
 
 @cache
-def _own_content(name: str) -> str:
-    return _content(load_scenario(name))
+def _packaged_content(name: str) -> str:
+    return _document_content(load_scenario(name))
 
 
-def _content(scenario: Scenario) -> str:
+def _document_content(scenario: Scenario) -> str:
     """Return the documents of a scenario without the prose, which may be reworded."""
     files = scenario.files
     documents = {
@@ -190,11 +190,11 @@ def judged(records: Records, scenario: str, by: str) -> Finding:
     if by == "circle":
         values["entered_s"] = find_circle_entry_s(records, runs[0])
     if by == "steady":
-        values["alike"] = _alike_at_rest(records, *runs)
-    return Finding(by, _state(by, *runs), values)
+        values["alike"] = _is_equal_at_rest(records, *runs)
+    return Finding(by, _claim_state(by, *runs), values)
 
 
-def _state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
+def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
     """Return the state of a claim; "opposite" where the clipped law has the smaller figure."""
     if law is None:
         return "reproduced" if HOLDS[by](run) else "not reproduced"
@@ -216,7 +216,7 @@ def find_circle_entry_s(records: Records, run: RunRecord) -> float:
     return np.inf if last == len(steps) - 1 else float(steps["t_s"].iloc[last + 1])
 
 
-def _alike_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
+def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
     """Return whether the steady errors are equal as no limit is active then."""
     two = run.r_tail_max_m, law.r_tail_max_m
     active = records.steps(run)["n_active"].to_numpy()

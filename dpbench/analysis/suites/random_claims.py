@@ -60,7 +60,7 @@ class RandomClaims:
     """
 
     def __init__(self, records: Records) -> None:
-        self.runs = _once([run for run in records.random if run.outcome != "refused"])
+        self.runs = _merge_equal_runs([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
         tables = [
             claims_by_run(table[table["counts"]])
@@ -79,17 +79,17 @@ class RandomClaims:
         return dict(zip(dict.fromkeys(keys), tallies, strict=True))
 
 
-def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     kept: list[RunRecord] = []
     for own in grouped(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = grouped(own, lambda run: run.settings)
-        for alike in grouped(by_level.items(), lambda level: _figures(level[1])).values():
+        for alike in grouped(by_level.items(), lambda level: _run_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _figures(runs: Sequence[RunRecord]) -> str:
+def _run_key(runs: Sequence[RunRecord]) -> str:
     """Return a key of a run: times never repeat to the nanosecond."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 

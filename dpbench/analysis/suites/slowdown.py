@@ -49,12 +49,12 @@ def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ..
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
         for configuration, loops in grouped(rising, lambda run: run.configuration).items()
     ]
-    return tuple(sorted(delayed, key=_by_survival))
+    return tuple(sorted(delayed, key=_survival_key))
 
 
-def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str]:
+def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
     """Sort key: the most survived first, then the least cost of the last loop."""
     last = list(configuration.loops.values())[-1]
-    survives, cost = -configuration.survives, cost_ratio(last)
-    unknown_last = (math.inf if math.isnan(value) else value for value in (survives, cost))
-    return (*unknown_last, last.name)
+    values = -configuration.survives, cost_ratio(last)
+    survives, cost = (math.inf if math.isnan(value) else value for value in values)
+    return survives, cost, last.name

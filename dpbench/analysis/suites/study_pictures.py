@@ -36,7 +36,7 @@ def held_maps(study: Study) -> pd.DataFrame:
         table = study.held_map(configuration.name).rename(columns=columns)
         part = table[[*names, "held", "runs"]]
         if not fits(study):
-            part = part.assign(**{name: _fields(part[name]) for name in names})
+            part = part.assign(**{name: _field_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
@@ -45,7 +45,7 @@ def held_maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _fields(values: pd.Series[float]) -> pd.Series[float]:
+def _field_centres(values: pd.Series[float]) -> pd.Series[float]:
     """Return the middle of the field of each value."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0

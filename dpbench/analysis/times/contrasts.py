@@ -100,7 +100,7 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in records.sequences:
-        times = [_times(records, sequence, verdict) for verdict in (first, second)]
+        times = [_find_times(records, sequence, verdict) for verdict in (first, second)]
         if times[0] is None or times[1] is None:
             continue
         first_ns, second_ns = paired(times[0], times[1])
@@ -127,7 +127,7 @@ def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> li
     return list(firsts(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
-def _times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+def _find_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
     for run in records.replays(sequence):
         if run.configuration.in_common_formulation == verdict.configuration:
             return records.times(run)
@@ -179,16 +179,18 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
     by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
         timed = ((run, records.times(run)) for run in runs)
-        times = {(run.route, run.policy): own for run, own in timed if own is not None}
+        times: dict[RoutePolicy, StepTimes] = {
+            (run.route, run.policy): own for run, own in timed if own is not None
+        }
         if any(route == "native" for route, _ in times):
             fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
             own = medians.setdefault((fastest, solver), [])
-            own += [RouteGain(solver, settings, *gain) for gain in _gains(times)]
+            own += [RouteGain(solver, settings, *gain) for gain in _gains_by_route(times)]
     gains = [gain for key in sorted(medians) for gain in medians[key]]
     return gains if any(gain.route[0] == "native" for gain in gains) else []
 
 
-def _gains(
+def _gains_by_route(
     times: Mapping[RoutePolicy, StepTimes],
 ) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
     """Yield neighbour, route, gain and median of each route with a neighbour and common steps."""

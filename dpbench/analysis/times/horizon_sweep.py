@@ -91,11 +91,11 @@ class SweptConfiguration:
     def largest_within(self, limit_ns: float) -> Horizons | None:
         """Return the largest measured horizons with right answers and a p99 within `limit_ns`."""
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
-        return max(fit, key=_by_moves, default=None)
+        return max(fit, key=_moves_key, default=None)
 
     def measured_beyond(self, horizons: Horizons) -> bool:
         """Return whether longer horizons have a p99, of right answers or not."""
-        beyond = (p for h, p in self.timed.items() if _by_moves(h) > _by_moves(horizons))
+        beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
     def settled(self, limit_ns: float) -> bool:
@@ -104,7 +104,7 @@ class SweptConfiguration:
         beyond = [
             point
             for h, point in self.timed.items()
-            if point.right and (largest is None or _by_moves(h) >= _by_moves(largest))
+            if point.right and (largest is None or _moves_key(h) >= _moves_key(largest))
         ]
         return not any(point.p99_interval.spans(limit_ns) for point in beyond)
 
@@ -145,7 +145,7 @@ class Sweep:
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
-        best = sorted(self.swept, key=_preference)
+        best = sorted(self.swept, key=_preference_key)
         kinds = firsts(best, lambda s: (s.configuration.solver, s.configuration.formulation))
         return list(kinds.values())
 
@@ -155,11 +155,13 @@ def sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = grouped(replays, _problem_key)
-    candidates = [_sweep(records, runs, requirements) for key, runs in problems.items() if key]
+    candidates = [
+        _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
+    ]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def _by_moves(horizons: Horizons) -> tuple[int, int]:
+def _moves_key(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 
 
@@ -175,7 +177,7 @@ def _problem_key(run: RunRecord) -> str:
     return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 
-def _sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
+def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, Point]] = {}
     for run in runs:
@@ -184,25 +186,25 @@ def _sweep(records: Records, runs: Sequence[RunRecord], requirements: Requiremen
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
             of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _point(records, run, requirements))
+            of_configuration.setdefault(horizons, _build_point(records, run, requirements))
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
-        sequences=dict(sorted(sequences.items(), key=lambda item: _by_moves(item[0]))),
+        sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )
 
 
-def _point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
+def _build_point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
     """Return a cell's point; one stopped before it had done every step has no time."""
     times = records.times(run)
     whole = times is not None and len(times.algo_ns) == run.steps_planned
     return Point(run, times if whole else None, is_right(run, requirements))
 
 
-def _preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
+def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
     """Sort key: most horizons with right answers, most with a time, then the fastest."""
     right = sum(point.right for point in swept.timed.values())
-    largest = max(swept.timed, key=_by_moves, default=None)
+    largest = max(swept.timed, key=_moves_key, default=None)
     slowest_ns = swept.timed[largest].median_ns if largest else math.inf
     return -right, -len(swept.timed), slowest_ns, swept.configuration.solver

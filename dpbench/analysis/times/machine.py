@@ -38,7 +38,7 @@ def timed_runs(records: Records) -> list[RunRecord]:
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return _set_own_switches_apart(list(firsts(timed, _identity).values()))
+    return _set_own_switches_apart(list(firsts(timed, _run_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
@@ -64,7 +64,7 @@ def _switches_a_step(run: RunRecord) -> float:
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
-def _identity(run: RunRecord) -> tuple[object, ...]:
+def _run_key(run: RunRecord) -> tuple[object, ...]:
     """Return a key to the nanosecond: settings without effect are one run under several names."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)

@@ -126,7 +126,7 @@ def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile(matrix, replace(mode, settings=level), p)
+            _tile_row(matrix, replace(mode, settings=level), p)
             for mode in modes
             for level in matrix.levels
             for p in matrix.judged_experiments
@@ -134,7 +134,7 @@ def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     )
 
 
-def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)

@@ -26,11 +26,15 @@ def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
     """Sort by p99, those without one by their largest step time, those without time last."""
     return sorted(
         verdicts,
-        key=lambda v: (_known(v.p99_ns), _known(v.algo_max_ns), v.configuration.solver),
+        key=lambda v: (
+            _finite_or_inf(v.p99_ns),
+            _finite_or_inf(v.algo_max_ns),
+            v.configuration.solver,
+        ),
     )
 
 
-def _known(time_ns: float) -> float:
+def _finite_or_inf(time_ns: float) -> float:
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
@@ -42,7 +46,7 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
     ranks = [verdict for verdict in verdicts.all if verdict.ranks]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_level))
+    return fastest_first(sorted(wide, key=_level_key))
 
 
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
@@ -60,25 +64,25 @@ def _most_usual(own: Sequence[Verdict]) -> Verdict:
     """Return the most usual settings that are as fast as a solver's fastest, the first."""
     best = own[0]
     mode = best.configuration.route, best.configuration.policy
-    usual, (fastest, slowest) = (1.0 + ALIKE) * _figure(best), best.rounds_ns
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
         # Where rounds overlap, the least of a few may be lower for the slower one by chance.
         and (
-            _figure(verdict) <= usual
+            _ranking_time(verdict) <= usual
             or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
         )
     ]
-    return min(alike, key=_level)
+    return min(alike, key=_level_key)
 
 
-def _level(verdict: Verdict) -> tuple[int, str]:
+def _level_key(verdict: Verdict) -> tuple[int, str]:
     return settings_level(verdict.configuration.settings)
 
 
-def _figure(verdict: Verdict) -> float:
+def _ranking_time(verdict: Verdict) -> float:
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
 
 

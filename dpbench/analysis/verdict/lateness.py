@@ -133,7 +133,9 @@ def find_late_timings(
     arms = [run for run in records.calibration if run.mode == "replay"]
     found = records.delays([*replays, *loops, *arms])
     replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
-    delays = {run.run_id: _usable(run, found[run.run_id]) for run in (*replays, *loops, *arms)}
+    delays = {
+        run.run_id: _usable_delays(run, found[run.run_id]) for run in (*replays, *loops, *arms)
+    }
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
@@ -155,7 +157,7 @@ def _is_tested(run: RunRecord) -> bool:
     return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
 
 
-def _usable(run: RunRecord, delays: Delays) -> Delays:
+def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
     """Return the delays without their waits where those may be for the run's own threads."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
     return delays.without_waits if waits else delays

@@ -74,9 +74,9 @@ def steering_of(records: Records, requirements: Requirements) -> Steering:
     verdicts = verdicts_of(records, requirements, of_thrusters)
     return Steering(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _states(verdicts_of(records, requirements, of_forces)),
-        _states(verdicts),
-        {s: _fault(own) for s, own in verdicts.of.items() if _state(own) in MISSED},
+        _best_states(verdicts_of(records, requirements, of_forces)),
+        _best_states(verdicts),
+        {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
     )
 
 
@@ -121,17 +121,17 @@ def lost_late(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _states(verdicts: Verdicts) -> dict[str, State]:
-    states = {solver: _state(own) for solver, own in verdicts.of.items()}
+def _best_states(verdicts: Verdicts) -> dict[str, State]:
+    states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}
 
 
-def _state(own: Sequence[Verdict]) -> State:
+def _best_state(own: Sequence[Verdict]) -> State:
     """Return the best verdict on some configurations."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 
-def _fault(own: Sequence[Verdict]) -> Fault:
+def _common_fault(own: Sequence[Verdict]) -> Fault:
     """Return what contradicts the requirements in every configuration that was run."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds & {*LATE} for kinds in causes):

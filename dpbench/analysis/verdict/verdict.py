@@ -130,8 +130,8 @@ def verdicts_of(
     verdicts: dict[str, list[Verdict]] = {}
     for solver, of_solver in grouped(judged, lambda run: run.solver).items():
         by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
-        longest = {it: _longest(runs) for it, runs in by_configuration.items()}
-        ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
+        longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
+        ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
             verdict_of(records, configuration, runs, asked, requirements)
@@ -140,13 +140,13 @@ def verdicts_of(
     return Verdicts(requirements, verdicts)
 
 
-def _longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Return the longest run of each scenario and replay."""
     alike = grouped(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
-def _reference_first(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
+def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
     """Sort key of a solver's reference: usual settings that ran, both modes, own route."""
     ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
@@ -186,7 +186,7 @@ def verdict_of(
     doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
-        _state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
         tuple(near),
@@ -194,14 +194,14 @@ def verdict_of(
         loops=len(ran) - len(replays),
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
-        steps=sum(_evaluated_steps(run) for run in ran),
+        steps=sum(_count_judged_steps(run) for run in ran),
         error_move=largest([run.error_move_max for run in ran]),
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **figures,
     )
 
 
-def _state(
+def _overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
 ) -> State:
     """Return the state of findings, and of how many modes, loop and replay, were run."""
@@ -222,7 +222,7 @@ def _count(count: float) -> int:
     return int(count) if math.isfinite(count) else 0
 
 
-def _evaluated_steps(run: RunRecord) -> int:
+def _count_judged_steps(run: RunRecord) -> int:
     """Return the steps with a judged answer; a replay counts those without per round."""
     without = _count(run.uncertified) + _count(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))
