@@ -156,8 +156,3 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
     assert [run.sequence for run in records.view().runs] == ["paper"]
     assert {run.lost_group for run in records.view().runs} == {""}
     assert UNKNOWN not in set(consequence_analyses(storm)[0].spans["state"])
-
-
-def test_no_analysis_no_topic(records: Any) -> None:
-    records.replay("daqp")
-    assert consequence_topic(records.view()) is None

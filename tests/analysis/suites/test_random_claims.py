@@ -130,8 +130,3 @@ def test_what_never_ran_is_counted_as_never_reached(records: Any) -> None:
     assert topic is not None
     (row,) = topic.tables[0].rows
     assert (row[0], row[1], row[-1]) == ("daqp", "0", "24")
-
-
-def test_without_random_problems_there_is_no_topic(records: Any) -> None:
-    records.loop("daqp")
-    assert random_topic(records.view()) is None

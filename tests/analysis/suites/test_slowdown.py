@@ -8,6 +8,8 @@ import pytest
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
 from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
 from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.report.topics.consequence import consequence_topic
+from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.sweeps import slowdown_topic
 
 COSTS = {
@@ -105,13 +107,6 @@ def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
     assert len(after.delayed) == 12
 
 
-def test_without_such_loops_there_is_no_topic(records: Any) -> None:
-    records.loop("daqp")
-    view = records.view()
-    assert slowdown_topic(view) is None
-    assert "slowdown" not in records.ending()
-
-
 def test_the_terminal_hears_who_survives_what(records: Any) -> None:
     fill(records)
     said = "Slower computers, paper: daqp (qpsolvers fresh) × 1000, hildreth (qpsolvers fresh) × 1."
@@ -128,3 +123,11 @@ def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
     slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
     slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
     assert "involuntary context switches a second" in records.ending()["machine"]
+
+
+@pytest.mark.parametrize("topic", [slowdown_topic, random_topic, consequence_topic])
+def test_without_runs_of_its_kind_there_is_no_topic(records: Any, topic: Any) -> None:
+    records.loop("daqp")
+    records.replay("daqp")
+    assert topic(records.view()) is None
+    assert "slowdown" not in records.ending()

@@ -25,18 +25,20 @@ def _of(records: Any) -> tuple[Uncertainty, list[tuple[float, float, float]]]:
     return found, list(factors)
 
 
-def test_the_factors_of_five_rounds(records: Any) -> None:
-    """Rounds of 16, 10, 11, 20 and 12 µs: the quantiles are 12, 16 and 20 over 10."""
-    _replay(records, "daqp", (16.0, 10.0, 11.0, 20.0, 12.0))
+@pytest.mark.parametrize(
+    ("rounds_us", "expected"),
+    [
+        ((16.0, 10.0, 11.0, 20.0, 12.0), (1.2, 1.6, 2.0)),  # quantiles 12, 16, 20 over 10
+        ((10.0, 14.0), (1.2, 1.3, 1.4)),  # quantiles 12, 13, 14 over 10
+    ],
+)
+def test_the_factors_of_rounds(
+    records: Any, rounds_us: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    _replay(records, "daqp", rounds_us)
     found, factors = _of(records)
-    assert factors == [pytest.approx((1.2, 1.6, 2.0))]
+    assert factors == [pytest.approx(expected)]
     assert found.usual == pytest.approx(1.2)
-
-
-def test_the_factors_of_two_rounds(records: Any) -> None:
-    """Rounds of 10 and 14 µs: the quantiles are 12, 13 and 14 over 10."""
-    _replay(records, "daqp", (10.0, 14.0))
-    assert _of(records)[1] == [pytest.approx((1.2, 1.3, 1.4))]
 
 
 def test_the_largest_factors_of_the_replays_of_a_configuration(records: Any) -> None:
