@@ -9,7 +9,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
-from dpbench.analysis.times.pairs import PairedComparison
+from dpbench.analysis.times.contrasts import PairedComparison
 from dpbench.analysis.verdict.fastest import SolverChoice, best_of_each, known_record
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements

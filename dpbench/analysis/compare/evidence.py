@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Interval, holm
+from dpbench.analysis.statistics import Interval, adjust_holm
 from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
@@ -39,7 +39,7 @@ _MEDIAN_VARIANCE = np.pi / 2
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a noise before the data: its standard deviation (log), its weight in df."""
+    """Noise assumed before the data: its standard deviation (log), its weight in df."""
 
     sd: float
     df: float
@@ -57,7 +57,7 @@ is wider."""
 
 @dataclass(frozen=True)
 class Assessment:
-    """What two runs say of one ratio.
+    """Assessment of one ratio between two runs.
 
     Parameters
     ----------
@@ -76,10 +76,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Estimated log ratios, (N,) each: `effect` after `machine` was taken out, its error, its df.
-
-    `effect` + `machine` is what was measured.
-    """
+    """Estimated log ratios (N,): `effect` + `machine` was measured; the effect's error and df."""
 
     effect: Floats
     machine: Floats
@@ -115,7 +112,7 @@ def remove_machine_factor(
         # would count.
         keep = np.arange(len(logs)) != i
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * typical2)
+        spread2, df[i] = _estimate_spread(logs[keep], labels[keep], prior, own_share * typical2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -139,15 +136,16 @@ def remove_reference_factor(
 
     Parameters
     ----------
-    reference : (N,) where the reference stands among the ratios; −1 for none, which leaves nothing
-        known of the ratio.
+    reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
     labels, rows = np.asarray(groups), np.arange(len(logs))
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i, at in enumerate(reference.tolist()):
         keep = (rows != i) & (rows != at)
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2)
+        spread2, df[i] = _estimate_spread(
+            logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2
+        )
         centre[i] = logs[at] if at >= 0 else 0.0
         # The reference has noise of its own, as large as any other's.
         both2 = [max(0.0, own[j] ** 2 - typical2) for j in (i, at)]
@@ -155,7 +153,7 @@ def remove_reference_factor(
     return Evidence(logs - centre, centre, error, df)
 
 
-def _spread(
+def _estimate_spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
     """Variance of the configurations around the median of their group, moderated, and its df.
@@ -178,7 +176,7 @@ def _spread(
 
 
 def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
+    """Assess each ratio; all verdicts hold together at family-wise error `alpha`.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two
@@ -187,8 +185,8 @@ def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     bound, size = np.log1p(margin), np.abs(evidence.effect)
     tail = stats.t(evidence.df)
     beyond = tail.sf((size - bound) / evidence.error) + tail.sf((size + bound) / evidence.error)
-    differs = holm(np.minimum(1.0, beyond))
-    equal = holm(tail.sf((bound - size) / evidence.error))
+    differs = adjust_holm(np.minimum(1.0, beyond))
+    equal = adjust_holm(tail.sf((bound - size) / evidence.error))
     reach = tail.isf(alpha / 2 / max(1, len(size))) * evidence.error
     verdicts: list[Assessment] = []
     for i, effect in enumerate(evidence.effect):

@@ -1,4 +1,4 @@
-"""Pair the cells of two result folders: the same question, asked in both."""
+"""Pairs of cells of two result folders with the same configuration on the same problem."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ class Pair:
 
     @property
     def label(self) -> str:
-        """The configuration, with both versions and builds of its solver where one of them
-        differs."""
+        """The configuration, with both versions and builds of its solver where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
         return self.a.configuration.label_of(f"{self.a.solver}{versions}")
@@ -34,8 +33,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """The pairs of two folders, and as text the cells without a partner, those whose problem
-    changed, and those that the harness lost in either."""
+    """Pairs of two folders; as text the cells without a partner, changed, or lost in either."""
 
     pairs: list[Pair]
     only_a: list[str]
@@ -45,7 +43,7 @@ class Pairs:
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """In what two machines differ, as their descriptions say; none for one machine."""
+    """List in what two machines differ by their descriptions; nothing for one machine."""
     if a["id"] == b["id"]:
         return []
     differ = [name for name in LASTING if a.get(name) != b.get(name)]
@@ -55,48 +53,47 @@ def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Pair the cells of two folders.
 
-    A cell that was refused in both is left out; one whose problem changed under the same name
-    (another scenario file) has no partner.
+    A cell refused in both is left out; one whose problem changed under its name has no partner.
 
     Raises
     ------
     ResultsError : when no cell of one folder has a partner in the other.
     """
-    cells_a, cells_b = _by_key(a), _by_key(b)
+    cells_a, cells_b = _runs_by_key(a), _runs_by_key(b)
     pairs, changed, lost = [], [], []
     for key in (key for key in cells_a if key in cells_b):
         pair = Pair(cells_a[key], cells_b[key])
         outcomes = pair.a.outcome, pair.b.outcome
-        if problem_of(pair.a) != problem_of(pair.b):
-            changed.append(_name(pair.a))
+        if problem_key(pair.a) != problem_key(pair.b):
+            changed.append(_cell_name(pair.a))
         elif "lost" in outcomes:
-            lost.append(_name(pair.a))
+            lost.append(_cell_name(pair.a))
         elif outcomes != ("refused", "refused"):
             pairs.append(pair)
     if not pairs and not lost:
         missing = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
-    only_a = [_name(run) for key, run in cells_a.items() if key not in cells_b]
-    only_b = [_name(run) for key, run in cells_b.items() if key not in cells_a]
+    only_a = [_cell_name(run) for key, run in cells_a.items() if key not in cells_b]
+    only_b = [_cell_name(run) for key, run in cells_b.items() if key not in cells_a]
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
-def key_of(run: RunRecord) -> dict[str, Any]:
-    """The columns of `KEY` of a run."""
+def cell_key(run: RunRecord) -> dict[str, Any]:
+    """Return the columns of `KEY` of a run."""
     return {column: getattr(run, column) for column in KEY}
 
 
-def _by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
+def _runs_by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
-    return {tuple(key_of(run).values()): run for run in lasting}
+    return {tuple(cell_key(run).values()): run for run in lasting}
 
 
-def _name(run: RunRecord) -> str:
+def _cell_name(run: RunRecord) -> str:
     mode = run.mode.replace("_", " ")
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def problem_of(run: RunRecord) -> tuple[object, ...]:
-    """Return what else cells of the same question share, as far as their descriptions tell."""
+def problem_key(run: RunRecord) -> tuple[object, ...]:
+    """Return what else cells of one problem share, as far as their descriptions tell."""
     return run.files, run.source, run.first, run.fallback, run.backup

@@ -1,4 +1,4 @@
-"""Solvers over their releases: the same configuration on the same problem, version by version."""
+"""Solver releases compared: one configuration on one problem, version by version."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import pandas as pd
 from packaging.version import InvalidVersion, Version
 
 from dpbench.analysis.compare.answers import ORDER
-from dpbench.analysis.compare.pairs import key_of, problem_of
-from dpbench.analysis.compare.times import REFERENCES, usualness
-from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.compare.pairs import cell_key, problem_key
+from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.bench.judge.rules import largest
 from dpbench.errors import InputError, UnknownNameError, one_of
 
@@ -41,7 +40,7 @@ class Release:
     @property
     def load_ns(self) -> float:
         """The load kernel beside its replays, geometric mean over the folders [ns]."""
-        return _mean([run.load_kernel_ns for run in self.runs.values()])
+        return _geometric_mean([run.load_kernel_ns for run in self.runs.values()])
 
     @property
     def error_move(self) -> float:
@@ -51,12 +50,12 @@ class Release:
     @property
     def claimed_not_true(self) -> float:
         """Most steps a round of a run that were claimed solved and are not."""
-        return largest([_per_round(run, run.claimed_not_true) for run in self.runs.values()])
+        return largest([_count_per_round(run, run.claimed_not_true) for run in self.runs.values()])
 
     @property
     def failed_steps(self) -> float:
         """Most failed steps a round of a run."""
-        return largest([_per_round(run, run.failed_steps) for run in self.runs.values()])
+        return largest([_count_per_round(run, run.failed_steps) for run in self.runs.values()])
 
     @property
     def outcome(self) -> str:
@@ -67,18 +66,18 @@ class Release:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The releases of a solver in one configuration on one problem, the oldest first."""
+    """Releases of a solver in one configuration on one problem, the oldest first."""
 
     releases: Sequence[Release]
 
     @property
     def run(self) -> RunRecord:
-        """A run of it, for what all of them share."""
+        """One of its runs, for what all of them share."""
         return next(iter(self.releases[0].runs.values()))
 
     @property
     def changed(self) -> bool:
-        """Whether there are several versions."""
+        """True if there are several versions."""
         return len(self.releases) > 1
 
     def change(self, i: int) -> float:
@@ -86,7 +85,7 @@ class History:
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
     def load_change(self, i: int) -> float:
-        """The load kernel, timed in the same rounds, likewise: what else ran on the machine."""
+        """Return that ratio of the load kernel, timed in the same rounds: other load."""
         return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
@@ -115,18 +114,18 @@ class Histories:
 
 
 def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """The releases of every configuration and problem that two folders have.
+    """Return the releases of every configuration and problem that two folders have.
 
     Parameters
     ----------
-    folders : by the name each is to be called.
-    reference : the solver by whose p50 times are divided. Folders of two machines always are: by
-        default by the first of `times.REFERENCES` that all of them timed.
+    folders : by name.
+    reference : the solver whose p50 divides all times. Folders of two machines always have one: by
+        default the first of `times.REFERENCES` that all of them timed.
 
     Raises
     ------
-    InputError : without a reference that all folders timed, where one is needed; where no two
-        folders have a cell in common.
+    InputError : where a reference is needed and was not timed in all folders; where no two folders
+        have a cell in common.
     """
     machines = {records.machine["id"] for records in folders.values()}
     solver = _choose_reference_solver(folders, reference) if reference or len(machines) > 1 else ""
@@ -135,10 +134,10 @@ def histories(folders: Mapping[str, Records], reference: str | None = None) -> H
     if not common:
         allowed = "folders of the same suite"
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
-    units = {name: _units(records, solver) for name, records in folders.items()}
-    by_cell = [_history(runs, units) for runs in common.values()]
-    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _repeated(history, units)]
+    units = {name: _time_units(records, solver) for name, records in folders.items()}
+    by_cell = [_build_history(runs, units) for runs in common.values()]
+    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
+    ratios = [ratio for history in by_cell for ratio in _folder_ratios(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
@@ -150,13 +149,13 @@ def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunReco
         for run in records.all_runs:
             if run.slowdown > 0.0 or run.is_baseline_law or run.outcome in ("lost", "refused"):
                 continue
-            cells.setdefault(repr((key_of(run), problem_of(run))), {})[name] = run
+            cells.setdefault(repr((cell_key(run), problem_key(run))), {})[name] = run
     return cells
 
 
 def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
     """Return the solver whose p50 the times of each folder are divided by."""
-    timed = [{run.solver for run in _timed(records)} for records in folders.values()]
+    timed = [{run.solver for run in _timed_replays(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
     if not known:
@@ -166,66 +165,73 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
     return known[0]
 
 
-def _timed(records: Records) -> Iterator[RunRecord]:
+def _timed_replays(records: Records) -> Iterator[RunRecord]:
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
-def _units(records: Records, solver: str) -> Mapping[str, float] | None:
-    """What times are divided by, by problem: the p50 of the most usual run of the reference."""
+def _time_units(records: Records, solver: str) -> Mapping[str, float] | None:
+    """Return the p50 of the reference's most usual run, by problem; None without a reference."""
     if not solver:
         return None
-    runs = sorted((r for r in _timed(records) if r.solver == solver), key=usualness, reverse=True)
+    runs = sorted(
+        (r for r in _timed_replays(records) if r.solver == solver),
+        key=usual_first_key,
+        reverse=True,
+    )
     return {run.problem: run.algo_p50_ns for run in runs}
 
 
-def _history(
+def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
     builds = len({run.build for run in runs.values()})
 
-    def version_of(of_folder: tuple[str, RunRecord]) -> str:
-        _, run = of_folder
+    def version_of(run: RunRecord) -> str:
         return f"{run.solver_version} {run.build if builds > 1 else ''}".strip() or "no version"
 
     releases = []
-    for version, of_version in grouped(runs.items(), version_of).items():
+    for version, of_version in grouped(runs.items(), lambda item: version_of(item[1])).items():
         times = (
-            _mean([_time(run, column, units[name]) for name, run in of_version])
+            _geometric_mean([_time_in_units(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
         )
         releases.append(Release(version, dict(of_version), *times))
-    return History(sorted(releases, key=lambda release: _order(release.version)))
+    return History(sorted(releases, key=lambda release: _version_key(release.version)))
 
 
-def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+def _time_in_units(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
     return float(getattr(run, column)) / divisor
 
 
-def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None]) -> Iterator[float]:
-    """How far the folders of one version lie apart."""
+def _folder_ratios(
+    history: History, units: Mapping[str, Mapping[str, float] | None]
+) -> Iterator[float]:
+    """Yield the ratio of the folders' largest and least p50 of each version."""
     for release in history.releases:
-        times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
+        times = [
+            _time_in_units(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
+        ]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)
 
 
-def _per_round(run: RunRecord, count: float) -> float:
-    """A count over all rounds of a replay, for one of them; a loop has one."""
+def _count_per_round(run: RunRecord, count: float) -> float:
+    """Return a count over all rounds of a replay as one per round; a loop has one round."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
-def _order(version: str) -> tuple[Any, ...]:
-    """Sort key: releases by number, what has none before them."""
+def _version_key(version: str) -> tuple[Any, ...]:
+    """Sort key: releases by number, those without one first."""
     try:
         return True, Version(version.partition(" ")[0]), version
     except InvalidVersion:
         return False, Version("0"), version
 
 
-def _mean(values: Sequence[float]) -> float:
+def _geometric_mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 
@@ -234,8 +240,11 @@ FIGURES = ("p50", "p99", "largest", "error")
 
 
 def release_table(histories: Histories, most: int) -> pd.DataFrame:
-    """Of each solver its most usual configuration on each of the first `most` replayed problems: a
-    row per version, label, age (0 of the newest, else 1), problem and `FIGURES`."""
+    """Return the releases of each solver on each of the first `most` replayed problems.
+
+    Its most usual configuration: a row per version, label, age (0 of the newest, else 1), problem
+    and `FIGURES`.
+    """
     chosen: dict[tuple[str, str], History] = {}
     for history in sorted(histories.all, key=lambda history: not history.changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):

@@ -27,7 +27,7 @@ class Track:
 
 
 class HardRow(NamedTuple):
-    """A hard step: what was said of it there, and `value`, what makes it hard."""
+    """Row of a hard step; `value` is what makes it hard."""
 
     k: int
     value: float
@@ -39,7 +39,7 @@ class HardRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KeptRun:
-    """What is kept of the steps of a run, however many it has.
+    """Steps that are kept of a run, however many it has.
 
     Parameters
     ----------
@@ -58,30 +58,31 @@ class KeptRun:
 
     @classmethod
     def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
-        """Of a run of more than `most` steps it is thinned, see `thinned_indices`."""
+        """Keep a run; one of more than `most` steps is thinned, see `thinned_indices`."""
         chosen, extra = thinned_indices(run, most)
-        hard = {measure: _hard(run, measure) for measure in MEASURES}
+        hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
         is_whole = len(chosen) == len(run.k)
         return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
 
 
-def _hard(run: RunSteps, measure: Measure) -> list[HardRow]:
-    return [
-        HardRow(
-            int(run.k[hard.at]),
-            hard.value,
-            str(run.status[hard.at]),
-            bool(run.claimed[hard.at]),
-            bool(run.true[hard.at]),
-            int(run.n_active[hard.at]),
+def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
+    rows = []
+    for hard in hardest(run, measure):
+        i = hard.at
+        flags = bool(run.claimed[i]), bool(run.true[i])
+        rows.append(
+            HardRow(int(run.k[i]), hard.value, str(run.status[i]), *flags, int(run.n_active[i]))
         )
-        for hard in hardest(run, measure)
-    ]
+    return rows
 
 
 def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
-    """The track of a closed loop from its rows, at most `most` points; `limits` (3,) of the forces
-    [N, N, N·m]."""
+    """Return the track of a closed loop's rows, at most `most` points.
+
+    Parameters
+    ----------
+    limits : (3,) of the forces [N, N, N·m].
+    """
     every = max(1, -(-len(steps) // most))
 
     def thin(names: Iterable[str]) -> Floats:
@@ -97,7 +98,7 @@ MOST = 2000
 
 
 def share(lengths: Sequence[int], most: int) -> int:
-    """The largest number at which as much of each length adds up to `most`, or less."""
+    """Return the largest number at which as much of each length adds up to `most`, or less."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):
         share = rest // (len(shortest_first) - i)
@@ -108,9 +109,9 @@ def share(lengths: Sequence[int], most: int) -> int:
 
 
 def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
-    """Which steps of a run are kept, about `most`, rising; and which of them for being hard alone.
+    """Return the indices of the kept steps, about `most`, rising; which are kept as hard.
 
-    Of a longer run every so manieth stays, and of the rest the hardest by each measure.
+    Of a longer run every n-th stays, and of the rest the hardest by each measure.
     """
     count = len(run.k)
     if count <= most:
@@ -124,7 +125,7 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
 
 
 def extremes(values: Floats, most: int = MOST) -> Ints:
-    """(M,) places of the values to draw, rising: all, or of equal parts the least and largest.
+    """Return (M,) indices of the values to draw, rising: all, or each part's least and largest.
 
     No more than `most`, of which a line of a few hundred pixels shows no difference.
     """

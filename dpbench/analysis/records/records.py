@@ -1,4 +1,4 @@
-"""Look into the records: which runs belong to which question, and the step times of a replay."""
+"""Records of one result folder: runs by topic, and the step times of a replay."""
 
 from __future__ import annotations
 
@@ -28,25 +28,21 @@ from dpbench.solvers.calibration import CALIBRATION
 
 
 class Records:
-    """The records of one result folder, asked by question.
+    """Records of one result folder.
 
-    Runs are in memory, steps are read when a question is about them: those of many runs together
-    by `scan` and what is made of it, those of one by `steps`.
-
-    `all_runs`: each row is one of `runs`, which are about the ship, of `delayed`, closed loops on a
-    slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
-    be held, of `at_edge`, static allocations around a capability plot, of `study`, which steer one
-    scenario at many points, or of another formulation than the common one of its problem; what is
-    selected below is selected from `runs`, so that nothing mixes formulations, nor a solver's
-    mistakes with a computer's. The harness's own configurations are no solvers: they are in
-    `calibration` and nowhere else. A replay that must not be ranked has no times.
+    Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
+    `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
+    their problem, from which all selections below are made; `delayed`, loops on a slow computer;
+    `random`, without a ship; `consequence`, whether a loss can be held; `at_edge`, static
+    allocations around a capability plot; `study`, one scenario at many points; or in none, of
+    another formulation. The harness's own configurations are in `calibration` only. A replay that
+    must not be ranked has no times.
     """
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        runs = [
-            run if self.is_ranked(run) else run.without_times() for run in records_of(results.runs)
-        ]
+        every = records_of(results.runs)
+        runs = [run if self.is_ranked(run) else run.without_times() for run in every]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
@@ -61,7 +57,7 @@ class Records:
         self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
-        self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
+        self.runs = _select_common_formulation([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._delays: dict[str, Delays] = {}
@@ -69,28 +65,27 @@ class Records:
 
     @property
     def has_steps(self) -> bool:
-        """Whether the folder has the steps of its runs: what is sent to others has not."""
+        """True if the folder has the steps of its runs; one sent to others has none."""
         return self._steps.rows > 0
 
     def steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The step rows of a run, with some of `STEP_COLUMNS`; empty when it left none."""
+        """Return the step rows of a run, with some of `STEP_COLUMNS`; empty without steps."""
         return self._steps.of(run.run_id, columns)
 
     def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The step rows of a run that count."""
+        """Return the step rows of a run that count."""
         steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
 
     def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """The step rows of some runs in the order of the file, some hundred thousand at a time."""
+        """Yield step rows of some runs in file order, some hundred thousand at a time."""
         wanted = {run.run_id for run in runs if run.has_steps}
         return self._steps.scan(columns, wanted) if wanted else iter(())
 
     def run_steps(
         self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
-        """Of some runs that left a counting row, in the order of the file: id, steps, and rows with
-        the columns that are asked for."""
+        """Yield id, steps and rows with `columns` of the runs that left a counting row."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
             rows, places = table[list(columns)], places_of(table["run_id"])
@@ -99,21 +94,15 @@ class Records:
                 yield run_id, steps, rows.iloc[first:end]
 
     def select(self, **wanted: object) -> list[RunRecord]:
-        """Runs whose columns have the wanted values, or one of a tuple of values."""
+        """Return runs whose columns have the wanted values, or one of a tuple of values."""
+        allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
-            run
-            for run in self.runs
-            if all(
-                getattr(run, column) in value
-                if isinstance(value, tuple)
-                else getattr(run, column) == value
-                for column, value in wanted.items()
-            )
+            run for run in self.runs if all(getattr(run, name) in v for name, v in allowed.items())
         ]
 
     @cached_property
     def solvers(self) -> list[str]:
-        """The solvers that are ranked, in the order of the suite: all but the baseline law."""
+        """Ranked solvers in the order of the suite: all but the baseline law."""
         return list(dict.fromkeys(r.solver for r in self.all_runs if not r.is_baseline_law))
 
     @cached_property
@@ -121,25 +110,24 @@ class Records:
         """Scenarios in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
-    def full_steps(self, scenario: str) -> int:
-        """Steps of the longest closed loop of a scenario that the suite asks for; 0 if none."""
+    def count_planned_steps(self, scenario: str) -> int:
+        """Return the steps of the longest requested closed loop of a scenario; 0 if none."""
         loops = self.select(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
-    def whole_steps(self, scenario: str) -> int:
-        """Steps of the whole scenario; those the suite asks for where no row carries it."""
+    def count_scenario_steps(self, scenario: str) -> int:
+        """Return the steps of the whole scenario; the requested ones where no row carries it."""
         carried = self.scenario(scenario)
-        return self.full_steps(scenario) if carried is None else carried.steps
+        return self.count_planned_steps(scenario) if carried is None else carried.steps
 
-    def full_loops(self, scenario: str) -> list[RunRecord]:
-        """Full-length closed loops of a scenario at default settings in scaled units, the baseline
-        law included."""
+    def select_full_loops(self, scenario: str) -> list[RunRecord]:
+        """Return full-length loops of a scenario, default settings, scaled; baseline law too."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
             settings="default",
             units="scaled",
-            steps_planned=self.full_steps(scenario),
+            steps_planned=self.count_planned_steps(scenario),
         )
 
     @cached_property
@@ -149,16 +137,16 @@ class Records:
         return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
-        """Replays of a sequence in scaled units."""
+        """Return the replays of a sequence in scaled units."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
     def is_ranked(self, run: RunRecord) -> bool:
-        """Whether the times of a run may stand beside those of others; those of a loop never do."""
+        """Return whether a run's times may be compared with those of others; a loop's are not."""
         of_folder = str(self.machine.get("id", ""))
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Step times of a replay; None when no counting round left a step, or it is not ranked.
+        """Return the step times of a replay; None without a counting step, or if not ranked.
 
         Those of all that are timed are read at once when the first is asked for.
         """
@@ -186,14 +174,14 @@ class Records:
     @cached_property
     def _carried(self) -> dict[str, ScenarioDocuments]:
         """The first documents of each scenario that a run carries."""
-        carried: dict[str, ScenarioDocuments] = {}
-        for run in self.runs:
-            if run.scenario not in carried and (files := run.scenario_files) is not None:
-                carried[run.scenario] = files
-        return carried
+        return {
+            run.scenario: files
+            for run in reversed(self.runs)
+            if (files := run.scenario_files) is not None
+        }
 
     def scenario(self, name: str) -> Scenario | None:
-        """The scenario a run was made from; None when no row carries it."""
+        """Return the scenario a run was made from; None when no row carries it."""
         if name not in self._scenarios:
             carried = self._carried.get(name)
             self._scenarios[name] = None if carried is None else scenario_of(carried)
@@ -201,7 +189,7 @@ class Records:
 
 
 def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """The route each solver is judged on: qpsolvers where it ran so, else its first one."""
+    """Return the route each solver is judged on: qpsolvers, else its first one."""
     routes: dict[str, str] = {}
     for run in runs:
         if run.solver not in routes or run.route == "qpsolvers":
@@ -209,18 +197,18 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
     return routes
 
 
-def _commonly_formulated(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """The runs in the common formulation of their problem, and those of the baseline law.
+def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Select the runs in the common formulation of their problem, and the baseline law's.
 
     Where a problem was never run in `COMMON`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
     for run in runs:
-        problem = _problem(run)
+        problem = _problem_columns(run)
         if not run.is_baseline_law and (problem not in common or run.formulation == COMMON):
             common[problem] = run.formulation
-    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem(r)]]
+    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem_columns(r)]]
 
 
-def _problem(run: RunRecord) -> tuple[str, ...]:
+def _problem_columns(run: RunRecord) -> tuple[str, ...]:
     return run.mode, run.scenario, run.sequence, run.units

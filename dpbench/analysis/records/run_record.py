@@ -1,10 +1,10 @@
-"""A row of `runs.parquet`, typed: read once, and asked by attribute from there on."""
+"""Typed rows of `runs.parquet`, and their grouping."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -38,19 +38,16 @@ Mode = Literal["closed_loop", "replay"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """One run of one configuration: of its columns those that somebody asks for.
-
-    They mean what `bench/record/schema.py` says of them.
+    """One run of one configuration; columns as in `bench/record/schema.py`.
 
     Parameters
     ----------
     files : the documents of its scenario; empty where the row carries none.
-    source : what its QPs are made from.
     first, fallback, backup : as in its cell; "" where that has none.
     x : of a study, the values of its keys at the run's point.
-    default_route : whether it runs on its solver's own route, which `Records` finds out.
-    own_switches_a_step : involuntary switches a step that the configuration makes itself, which
-        `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
+    default_route : whether it runs on its solver's own route, set by `Records`.
+    own_switches_a_step : involuntary switches a step of the configuration's own making, set by
+        `machine.py` and then not among `involuntary_switches`. NaN for none.
     """
 
     # identity and outcome: `IDENTITY_COLUMNS`
@@ -149,10 +146,9 @@ class RunRecord:
     own_switches_a_step: float = np.nan
 
     def without_times(self) -> RunRecord:
-        """The same run as if nothing of it had been timed."""
-        timed: dict[str, Any] = {
-            one.name: np.nan for one in fields(self) if one.name.endswith("_ns")
-        }
+        """Return the run as if nothing of it had been timed."""
+        times = (one.name for one in fields(self) if one.name.endswith("_ns"))
+        timed: dict[str, Any] = dict.fromkeys(times, np.nan)
         return replace(self, **timed)
 
     @property
@@ -164,8 +160,7 @@ class RunRecord:
 
     @property
     def has_topic(self) -> bool:
-        """Whether a topic of its own is about it, and no verdict: its QPs steer no ship, or one of
-        many in a study."""
+        """True if it has a topic of its own and no verdict: no ship, or a study."""
         return bool(self.study) or not self.source.is_judged
 
     @property
@@ -180,12 +175,12 @@ class RunRecord:
 
     @property
     def is_at_boundary(self) -> bool:
-        """Whether its QPs are those at the capability boundary of a ship."""
+        """True if its QPs are those at the capability boundary of a ship."""
         return isinstance(self.source, CapabilitySource)
 
     @property
     def exported_by(self) -> str:
-        """What `dpbench export` makes its QPs from: a recorded file, a scenario, or its name."""
+        """Argument of `dpbench export`: a recorded file, a scenario, or its name."""
         path = self.source.path if isinstance(self.source, RecordedSource) else ""
         return path or self.scenario or self.sequence
 
@@ -225,20 +220,18 @@ class RunRecord:
 
     @property
     def steers_thrusters(self) -> bool:
-        """Whether its controller commands thrusters; False where the row carries no scenario."""
-        files = self.scenario_files
-        return (
-            files is not None and files["scenario"]["controller"].get("kind", "forces") != "forces"
-        )
+        """True if its controller commands thrusters; False where the row carries no scenario."""
+        scenario = (self.scenario_files or {}).get("scenario")
+        return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
 
     @property
     def is_baseline_law(self) -> bool:
-        """Whether it is of the baseline law, which solves no QP and is never ranked."""
+        """True if it is of the baseline law, which solves no QP and is never ranked."""
         return self.formulation == "none"
 
     @property
     def has_steps(self) -> bool:
-        """Whether the run left rows."""
+        """True if the run left rows."""
         return self.steps_done > 0
 
     @property
@@ -248,15 +241,14 @@ class RunRecord:
 
     @property
     def remembers(self) -> bool:
-        """Whether its times are those of remembered answers."""
+        """True if its times are those of remembered answers."""
         return is_remembered(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 
     @property
     def name(self) -> str:
-        """The solver, with its route, policy, settings, units and formulation where they are not
-        the default."""
+        """Name of the solver, with what of the configuration is not the default."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
         words += [] if self.settings == "default" else [self.settings]
@@ -283,7 +275,7 @@ class _Study(_Table):
 
 
 class _Described(_Table):
-    """What of the description of a cell is read here."""
+    """Parts of the description of a cell that are read here."""
 
     scenario: _Files | None = None
     source: dict[str, Any] = {}
@@ -294,26 +286,28 @@ class _Described(_Table):
 
 
 def records_of(runs: pd.DataFrame) -> list[RunRecord]:
-    """The records of a table of runs."""
+    """Return the records of a table of runs."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord(**dict(zip(names, row, strict=True)), **_described(str(cell), shared))
+        RunRecord(**dict(zip(names, row, strict=True)), **_read_description(str(cell), shared))
         for *row, cell in zip(*values, runs["cell"], strict=True)
     ]
 
 
-def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """What `cell` says, as fields of a record. The runs of a campaign say nearly the same: a part
-    that another run has too is kept once, in `shared`."""
+def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a record that `cell` has.
+
+    The runs of a campaign have nearly equal ones: an equal part is kept once, in `shared`.
+    """
     if not cell.startswith("{"):
         return {}
     try:
         described = parse_json(cell)
         read = _Described.model_validate(described)
     except ValueError as error:
-        raise _damaged("cell", error) from error
+        raise _description_error("cell", error) from error
     files = described.get("scenario") or {}
     for whole in files.values():
         if isinstance(whole, dict):
@@ -324,18 +318,13 @@ def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         try:
             shared[key] = source_from(read.source)
         except ValueError as error:
-            raise _damaged("cell.source", error) from error
-    return {
-        "files": files,
-        "source": shared[key],
-        "first": read.first,
-        "fallback": read.fallback,
-        "backup": read.backup,
-        "x": shared.setdefault(repr(read.study.x), read.study.x),
-    }
+            raise _description_error("cell.source", error) from error
+    same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
+    x = shared.setdefault(repr(read.study.x), read.study.x)
+    return {"files": files, "source": shared[key], "x": x, **same}
 
 
-def _damaged(key: str, error: ValueError) -> ResultsError:
+def _description_error(key: str, error: ValueError) -> ResultsError:
     """Return the error of a description that is no cell's."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
@@ -357,3 +346,22 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "float64": _floats,
 }
 """How a column of each type is read; a null of a nullable integer becomes NaN."""
+
+Item = TypeVar("Item")
+Key = TypeVar("Key")
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items by key, keys and items in the order in which they come."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def firsts(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
+    """Return the first item of each key."""
+    first: dict[Key, Item] = {}
+    for item in items:
+        first.setdefault(key(item), item)
+    return first

@@ -1,7 +1,6 @@
-"""Steps of runs from the step rows that count: one value a step over the rounds, and the hardest.
+"""Steps of runs from the rows that count: one value a step over the rounds, and the hardest.
 
-A table of many runs is turned into arrays at once, some tenths of a second for a million rows; a
-run is then a slice of them.
+A table of many runs is turned into arrays at once; a run is then a slice of them.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class CountingRows:
         return places_of(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
-        """The rows of one run; none when it left none."""
+        """Return the rows of one run; none when it left none."""
         first, end = self.bounds.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
 
@@ -68,11 +67,10 @@ COUNTING_COLUMNS = (
     *("run_id", "repeat", "k", "counts", "total_ns", "iterations", "error_move", "n_active"),
     *("certificate", "status", "fallback", "unconverged", *_COUNTING_FLAGS[:3], "clipped"),
 )
-"""What `counting_of` asks of a step table."""
 
 
 def counting_of(steps: pd.DataFrame) -> CountingRows:
-    """The rows of a step table that count."""
+    """Return the rows of a step table that count."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
         "known": decided(steps)[counts],
@@ -109,9 +107,9 @@ class RunSteps:
     k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
     error, iterations : (K,) the largest over them, NaN where there is none.
     n_active : (K,) active limits at the optimum.
-    claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer whose right
-        one is not known is taken as true.
-    status : (K,) what the solver said in the round of the largest error, else in the last.
+    claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer without a
+        known right one counts as true.
+    status : (K,) of the round of the largest error, else of the last.
     rounds : how many there are.
     """
 
@@ -131,27 +129,26 @@ class RunSteps:
     rounds: int
 
     def values(self, measure: Measure) -> Floats:
-        """(K,) what makes a step hard by a measure."""
+        """Return (K,) the values of a measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
     def at(self, places: Ints) -> RunSteps:
-        """Some of the steps alone."""
+        """Return some of the steps alone."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
 @dataclass(frozen=True)
 class HardStep:
-    """A step of a run and what made it hard: its least time [ns], its most iterations or error."""
+    """Hard step: least time [ns], most iterations or error, and its index in `RunSteps`."""
 
     measure: Measure
     value: float
     at: int
-    """Where it stands in the arrays of `RunSteps`."""
 
 
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
-    """Every run that left a counting row, in the order of the table."""
+    """Yield every run that left a counting row, in the order of the table."""
     for run_id in counting.bounds:
         yield run_id, _merge_rounds(counting.of(run_id))
 
@@ -161,18 +158,18 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
-    error = _over(np.fmax, at, len(steps), rows.error_move)
+    error = _reduce_by_step(np.fmax, at, len(steps), rows.error_move)
     said = last.copy()
     worst = np.flatnonzero(rows.error_move == error[at])
     said[at[worst]] = worst
     flags = {name: getattr(rows, name)[last] for name in _FLAGS}
     return RunSteps(
         k=steps,
-        time_ns=_over(np.fmin, at, len(steps), rows.total_ns),
-        raw_ns=_over(np.fmax, at, len(steps), rows.total_ns),
+        time_ns=_reduce_by_step(np.fmin, at, len(steps), rows.total_ns),
+        raw_ns=_reduce_by_step(np.fmax, at, len(steps), rows.total_ns),
         error=error,
-        iterations=_over(np.fmax, at, len(steps), rows.iterations),
-        n_active=_over(np.fmax, at, len(steps), rows.n_active),
+        iterations=_reduce_by_step(np.fmax, at, len(steps), rows.iterations),
+        n_active=_reduce_by_step(np.fmax, at, len(steps), rows.n_active),
         true=(rows.true | ~rows.known)[last],
         **flags,
         status=rows.status[said],
@@ -181,7 +178,7 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
 
 
 def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
-    """The hardest steps of a run, the hardest first; those without a figure are none of them."""
+    """Return the hardest steps of a run, the hardest first, without those that have no figure."""
     values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
@@ -192,8 +189,8 @@ def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     return [HardStep(measure, float(values[i]), int(i)) for i in order]
 
 
-def _over(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
-    """Of each step the least or largest value that is there; NaN for none."""
+def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
+    """Return the least or largest known value of each step; NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)
     return out

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,6 @@ from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.recorded_steps import places_of
 
 TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
-"""What `times_by_run` asks of a step table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +34,15 @@ class StepTimes:
 
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Those of every run of a table that left a counting row."""
+    """Yield the step times of every run of a table that left a counting row."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
-        yield run_id, step_times_of(repeat, k, total_ns)
+        yield run_id, merge_rounds(repeat, k, total_ns)
 
 
 def _counting_rows(
     steps: pd.DataFrame, *times: str
 ) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
-    """Run, round, step and some times [ns] of the rows (N,) of each run that count."""
+    """Yield run, round, step and some times [ns] of the rows (N,) of each run that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
@@ -51,8 +51,8 @@ def _counting_rows(
         yield run_id, repeat[own], k[own], [column[own] for column in columns]
 
 
-def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
-    """Step times of the rows (N,) of one replay that count: their round, step and time."""
+def merge_rounds(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
+    """Return the step times of the counting rows (N,) of one replay."""
     best = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(best, k, total_ns)
     done = np.flatnonzero(np.isfinite(best))
@@ -61,7 +61,6 @@ def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
 
 
 DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
-"""What `delays_by_run` asks of a step table."""
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
 OWN_SHARE = 0.1
@@ -88,7 +87,7 @@ class Delays:
     step_ns : median over the timings.
     round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
         base time; net_ns : (D,) its timing less the wait for the core, where that is known.
-    knows_waits : whether the wait of every timing is known.
+    has_waits : whether the wait of every timing is recorded.
     """
 
     samples: Ints
@@ -98,11 +97,13 @@ class Delays:
     delay_ns: Floats
     own_ns: Floats
     net_ns: Floats
-    knows_waits: bool
+    has_waits: bool
+    _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
 
-    def gross(self) -> Delays:
-        """Return the delays as if no wait were known."""
-        return replace(self, net_ns=self.delay_ns, knows_waits=False)
+    @cached_property
+    def without_waits(self) -> Delays:
+        """The delays as if no wait were known."""
+        return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
         """Count the delays beyond a limit in each round (R,)."""
@@ -110,13 +111,13 @@ class Delays:
         return self._count((self.delay_ns > limit_ns) & by_itself)
 
     def count_stalls(self, longer_than_ns: float) -> Ints:
-        """Count the delays that exceed their base time by more than a duration, by round (R,).
-
-        The duration is half a limit.
-        """
-        excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
-        of_limit = OWN_SHARE * 2.0 * longer_than_ns
-        return self._count((excess_ns > longer_than_ns) & (net_ns > of_limit))
+        """Count the delays that exceed their base time by more than half a limit, by round (R,)."""
+        if longer_than_ns not in self._stalls:
+            excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+            of_limit = OWN_SHARE * 2.0 * longer_than_ns
+            chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
+            self._stalls[longer_than_ns] = self._count(chosen)
+        return self._stalls[longer_than_ns]
 
     def _count(self, chosen: Flags) -> Ints:
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
@@ -125,18 +126,18 @@ class Delays:
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield the delays of every run of a step table that left a counting row."""
     for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
-        yield run_id, delays_of(repeat, k, total_ns, waited_ns)
+        yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 
 
-def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
-    """Delays of the rows (N,) of one run that count: their round, step, time and wait [ns].
+def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+    """Return the delays of the counting rows (N,) of one run, times and waits in ns.
 
     Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
     """
     timed = ~np.isnan(total_ns)
     repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
-    knows_waits = not np.isnan(waited_ns).any()
-    net_ns = total_ns - waited_ns if knows_waits else total_ns
+    has_waits = not np.isnan(waited_ns).any()
+    net_ns = total_ns - waited_ns if has_waits else total_ns
     rounds, index = np.unique(repeat, return_inverse=True)
     middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
@@ -155,5 +156,5 @@ def delays_of(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Del
         delay_ns=total_ns[delayed],
         own_ns=base[delayed],
         net_ns=net_ns[delayed],
-        knows_waits=knows_waits,
+        has_waits=has_waits,
     )

@@ -16,11 +16,10 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class WorstStep:
-    """The hardest step of a solver by one measure, in whichever run it was.
+    """Hardest step of a solver by one measure over all its runs.
 
     Parameters
     ----------
-    step : the step alone.
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
 
@@ -44,8 +43,10 @@ class WorstStep:
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """The hardest step of a solver by error, time and iterations, each once; in its replays, whose
-    QPs are those that `export` writes, or else in its loops."""
+    """Return the hardest step of a solver by error, time and iterations, each once.
+
+    It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
+    """
     runs = {run.run_id: run for run in records.runs if run.solver == solver}
     worst_of_run = {
         run_id: _worst_of(runs[run_id], steps)
@@ -63,7 +64,7 @@ def worst_steps(records: Records, solver: str) -> list[WorstStep]:
 
 
 def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
-    """The hardest step of a run by each measure that it has."""
+    """Return the hardest step of a run by each measure that it has."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
         for hard in hardest(steps, measure, 1):
@@ -73,7 +74,7 @@ def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
 
 
 def value_at(records: Records, worst: WorstStep, configuration: Configuration) -> float:
-    """The same figure of another configuration at the same step; NaN where it did not get there."""
+    """Return the figure of another configuration at that step; NaN where it has none."""
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
 from dpbench.bench.record.cell import CapabilitySource
@@ -17,14 +16,13 @@ from dpbench.bench.record.cell import CapabilitySource
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver said of a batch of static allocations.
+    """Answers of a solver to a batch of static allocations.
 
     Parameters
     ----------
-    solver, outcome : of `runs.parquet`.
-    asked : QPs it should have answered; feasible, infeasible : how many it was given of each.
+    asked : QPs of the batch; feasible, infeasible : how many of each it reached.
     balanced : claimed optima that are true; refused : infeasible ones rightly called so.
-    wrong : untrue claims of either kind; the rest it said nothing of.
+    wrong : untrue claims of either kind.
     p50_ns, max_ns : of its step times; NaN without any.
     """
 
@@ -46,7 +44,7 @@ class Answers:
 
     @property
     def all_right(self) -> bool:
-        """Whether every answer is right."""
+        """True if every answer is right."""
         return self.right == self.asked
 
     @property
@@ -56,20 +54,20 @@ class Answers:
 
 
 def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """The answers of each run, most right ones first, then the fastest."""
-    answers = [_answers(records, run) for run in runs if run.outcome != "refused"]
+    """Return the answers of each run, most right ones first, then the fastest."""
+    answers = [_count_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A capability plot, and who answers rightly at its edge.
+    """Capability plot, and the answers at its edge.
 
     Parameters
     ----------
-    vessel, sides : the ship, and the polygons of its QPs.
+    sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
-    answers : the best configuration of each solver; empty where nobody was asked.
+    answers : the best configuration of each solver; empty where none was run.
     """
 
     vessel: str
@@ -89,8 +87,7 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
-    """The plots of a result folder, in the order of its suite; of one that could not be made there
-    is none.
+    """Return the plots of a result folder, in the order of its suite.
 
     Parameters
     ----------
@@ -110,13 +107,13 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
             source = runs[0].source
             assert isinstance(source, CapabilitySource), "runs at the boundary"
             vessel, sides = source.vessel_name, source.sides
-        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
+        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edge_rows(records, own, runs)
         plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
-    """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
+def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
+    """Return the columns `EDGES` of the rows of one plot in `capability.parquet`."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
@@ -132,7 +129,7 @@ def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) ->
     return pd.DataFrame(rows, columns=list(EDGES))
 
 
-def _answers(records: Records, run: RunRecord) -> Answers:
+def _count_answers(records: Records, run: RunRecord) -> Answers:
     steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())

@@ -15,30 +15,27 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.scenario.scenario import scenario_once
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
-"""What is proven of the loss of a group at a sample."""
+"""Proven states of the loss of a group at a sample."""
 SPAN = ("group", "from_s", "to_s", "state")
 
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """What one configuration said of all QPs of a consequence analysis.
+    """Answers of one configuration to all QPs of a consequence analysis.
 
     Parameters
     ----------
-    solver, name : the solver, and the configuration.
-    feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
+    asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
-    missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
-        them.
+    missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
     p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
         where a group was not run to its end.
     """
@@ -62,17 +59,16 @@ class BatchAnswers:
 
     @property
     def all_right(self) -> bool:
-        """Whether every answer is right."""
+        """True if every answer is right."""
         return self.held + self.refused == self.asked
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """One consequence analysis.
+    """Consequence analysis of one run's failure `groups`.
 
     Parameters
     ----------
-    name : of the run; groups : its failure groups.
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
     """
@@ -84,40 +80,39 @@ class Analysis:
 
     @property
     def best(self) -> dict[str, BatchAnswers]:
-        """The best configuration of each solver, by its name."""
+        """Best configuration of each solver, by its name."""
         return firsts(self.answers, lambda answers: answers.solver)
 
 
 def consequence_analyses(records: Records) -> list[Analysis]:
-    """Those of the records that have a step, in the order of the suite."""
+    """Return the analyses that have a step, in the order of the suite."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
     batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
-        _analysis(records, name, runs)
+        _build_analysis(records, name, runs)
         for name, runs in batches.items()
         if any(run.has_steps for run in runs)
     ]
 
 
-def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
+def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
     groups = grouped(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
-    sample_s = float("nan") if files is None else scenario_once(files).sample_s
+    sample_s = math.nan if files is None else scenario_once(files).sample_s
     by_configuration = grouped(runs, lambda run: run.name)
-    answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
+    answers = [
+        _batch_answers(records, own, len(groups), sample_s) for own in by_configuration.values()
+    ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
-    spans = pd.concat([_spans(records, run, sample_s) for run in longest if run.has_steps])
+    spans = pd.concat([_state_spans(records, run, sample_s) for run in longest if run.has_steps])
     return Analysis(name, tuple(groups), spans, tuple(answers))
 
 
-def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Columns `SPAN` of one group, neighbours of one state joined."""
-    steps = (
-        records.counting_steps(run, ("k", "t_s", "certificate"))
-        .drop_duplicates("k")
-        .sort_values("k")
-    )
+def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+    """Return the columns `SPAN` of one group, neighbours of one state joined."""
+    rows = records.counting_steps(run, ("k", "t_s", "certificate"))
+    steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
@@ -127,11 +122,11 @@ def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _answers(
+def _batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """The answers of one configuration, a run for each group."""
-    of_runs = [_counts(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
+    """Return the answers of one configuration, a run for each group."""
+    of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
     batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
@@ -140,37 +135,30 @@ def _answers(
         name=runs[0].name,
         asked=sum(run.steps_planned for run in runs),
         p99=percentile(shares, 99),
-        largest=float(shares.max()) if len(shares) else float("nan"),
+        largest=float(shares.max()) if len(shares) else math.nan,
         **{str(name): int(count) for name, count in counts.items()},
     )
 
 
-def _counts(steps: pd.DataFrame) -> pd.Series[int]:
-    """Feasible, infeasible, held, refused, missed and untrue of one run."""
+def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
+    """Count feasible, infeasible, held, refused, missed and untrue of one run."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
-    always = pd.DataFrame(
-        {
-            "feasible": claims["steps"] & ~infeasible,
-            "infeasible": infeasible,
-            "held": claims["told"],
-            "refused": claims["empty_right"] & infeasible,
-        }
-    )
-    ever = pd.DataFrame(
-        {
-            "missed": claims["lies"] & infeasible,
-            "untrue": claims["lies"] | claims["empty_wrong"],
-        }
-    )
-    counts: pd.Series[int] = pd.concat(
-        [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
-    )
+    always = {
+        "feasible": claims["steps"] & ~infeasible,
+        "infeasible": infeasible,
+        "held": claims["told"],
+        "refused": claims["empty_right"] & infeasible,
+    }
+    lies = claims["lies"]
+    ever = {"missed": lies & infeasible, "untrue": lies | claims["empty_wrong"]}
+    by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
+    counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
     return counts
 
 
 def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Time of the batch at each sample (K,), the sum over the groups; empty where one has a gap."""
+    """Return the time of the batch at each sample (K,) [ns]; empty where a group has a gap."""
     times = [records.times(run) for run in runs]
     timed = [known.algo_ns for known in times if known is not None]
     steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
@@ -181,13 +169,13 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
 
 
 def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
-    """The answers of each configuration that was run in every analysis, by its name."""
+    """Return the answers of each configuration that was run in every analysis, by its name."""
     answers = [own for analysis in analyses for own in analysis.answers]
     by_name = grouped(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
 def largest_share(answers: Sequence[BatchAnswers]) -> float:
-    """The largest share of a sample of some analyses; NaN where one is not known."""
+    """Return the largest share of a sample of some analyses; NaN where one is not known."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

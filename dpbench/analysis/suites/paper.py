@@ -43,31 +43,31 @@ class Pair:
     whole: int = 0
 
 
-def pair_of(view: Records, scenario: str) -> Pair:
-    """The two laws of a scenario, each from a complete one of its longest closed loops."""
-    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+def find_laws(view: Records, scenario: str) -> Pair:
+    """Return the two laws of a scenario, each from a complete one of its longest loops."""
+    loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation, default=None)
+    best = min(solved, key=_deviation_key, default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
-    return Pair(best, clipped, view.whole_steps(scenario))
+    return Pair(best, clipped, view.count_scenario_steps(scenario))
 
 
-def paper_pair(view: Records, name: str) -> Pair:
-    """The same where the scenario is the paper's own of that name; else nothing."""
-    return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
+def find_paper_laws(view: Records, name: str) -> Pair:
+    """Return the two laws where the scenario is the paper's own of that name; else none."""
+    return find_laws(view, name) if is_of_paper(view, name) else Pair(None, None)
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """One control law's run: what it is called, and its step rows."""
+    """Run of one control law."""
 
     label: str
     steps: pd.DataFrame
 
 
 def laws_of(view: Records) -> list[Law]:
-    """The constrained law of the paper's own scenario, and the clipped one if it was run."""
-    pair = pair_of(view, PAPER)
+    """Return the constrained law of the paper's own scenario, and the clipped one if it was run."""
+    pair = find_laws(view, PAPER)
     if pair.constrained is None:
         return []
     laws = [Law(f"constrained ({pair.constrained.solver})", view.steps(pair.constrained))]
@@ -77,7 +77,7 @@ def laws_of(view: Records) -> list[Law]:
 
 
 def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
-    """North, east, radial [m] and heading [°] errors of the rows of a loop."""
+    """Return the north, east, radial [m] and heading [°] errors of the rows of a loop."""
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
     psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
@@ -85,8 +85,9 @@ def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
 
 
 def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
-    """What a figure draws of every step of a law: law, t_s, and its columns with their units; of
-    forces and increments each axis, then its limits.
+    """Return the data of a figure: law, t_s, and its columns with their units.
+
+    Forces and increments have each axis, then its limits.
 
     Parameters
     ----------
@@ -110,24 +111,24 @@ def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _deviation(row: RunRecord) -> tuple[float, str]:
+def _deviation_key(row: RunRecord) -> tuple[float, str]:
     value = row.dev_position_max_m
     return (math.inf if math.isnan(value) else value, row.solver)
 
 
 def is_of_paper(view: Records, name: str) -> bool:
-    """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
+    """Return whether a scenario of the rows is the paper's own of that name."""
     scenario = view.scenario(name) if name in OF_PAPER else None
-    return scenario is not None and _content(scenario) == _own_content(name)
+    return scenario is not None and _document_content(scenario) == _packaged_content(name)
 
 
 @cache
-def _own_content(name: str) -> str:
-    return _content(load_scenario(name))
+def _packaged_content(name: str) -> str:
+    return _document_content(load_scenario(name))
 
 
-def _content(scenario: Scenario) -> str:
-    """What a scenario computes with: its documents without the prose, which may be reworded."""
+def _document_content(scenario: Scenario) -> str:
+    """Return the documents of a scenario without the prose, which may be reworded."""
     files = scenario.files
     documents = {
         key: {name: value for name, value in files[key].items() if name not in PROSE}
@@ -146,14 +147,12 @@ SAME = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What the rows say of a claim.
+    """Evidence on a claim.
 
     Parameters
     ----------
-    by : what decided it, a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where
-        nothing could.
-    values : what there is to say of it: `run`, the constrained law, `law`, the clipped one, and
-        what those two do not hold.
+    by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
+    values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
     """
 
     by: str
@@ -167,20 +166,19 @@ HOLDS: dict[str, Callable[[RunRecord], bool]] = {
     "rates": lambda run: max(run.at_rate_surge, run.at_rate_sway, run.at_rate_yaw) > 0.0,
     "violations": lambda run: run.limit_violations == 0,
 }
-"""What has to be so of the constrained law."""
+"""Conditions on the constrained law."""
 SMALLER = {
     "transient": ("overshoot_e", 0.0),
     "settling": ("settle_0p1m_s", 0.0),
     "steady": ("r_tail_max_m", SAME),
     "heading": ("heading_max_deg", 0.0),
 }
-"""What the constrained law has to have smaller than the clipped one, by more than which share of
-the larger."""
+"""Figures that the constrained law has smaller, by more than which share of the larger."""
 
 
 def judged(records: Records, scenario: str, by: str) -> Finding:
-    """What is found in the paper's scenario of that name, where its laws ran to the end."""
-    pair = paper_pair(records, scenario)
+    """Assess a claim in the paper's scenario of that name, where its laws ran to the end."""
+    pair = find_paper_laws(records, scenario)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
@@ -190,14 +188,14 @@ def judged(records: Records, scenario: str, by: str) -> Finding:
         return Finding("short", "not measured", {"done": done, "whole": pair.whole})
     values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
     if by == "circle":
-        values["entered_s"] = entered_s(records, runs[0])
+        values["entered_s"] = find_circle_entry_s(records, runs[0])
     if by == "steady":
-        values["alike"] = _alike_at_rest(records, *runs)
-    return Finding(by, _state(by, *runs), values)
+        values["alike"] = _is_equal_at_rest(records, *runs)
+    return Finding(by, _claim_state(by, *runs), values)
 
 
-def _state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
-    """The opposite of a claim is where the clipped law has the smaller figure."""
+def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
+    """Return the state of a claim; "opposite" where the clipped law has the smaller figure."""
     if law is None:
         return "reproduced" if HOLDS[by](run) else "not reproduced"
     column, margin = SMALLER[by]
@@ -207,9 +205,8 @@ def _state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
     return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
 
 
-def entered_s(records: Records, run: RunRecord) -> float:
-    """From when on a run stays within the circle [s]: 0 where it always is, inf where it is outside
-    at the end."""
+def find_circle_entry_s(records: Records, run: RunRecord) -> float:
+    """Return the time from which a run stays within the circle [s]; inf if it ends outside."""
     scenario, steps = records.scenario(run.scenario), records.steps(run)
     assert scenario is not None, "a run of the paper's own scenario"
     outside = np.flatnonzero(errors(steps, scenario.reference)["radial"] > CIRCLE_M)
@@ -219,8 +216,8 @@ def entered_s(records: Records, run: RunRecord) -> float:
     return np.inf if last == len(steps) - 1 else float(steps["t_s"].iloc[last + 1])
 
 
-def _alike_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
-    """Whether the steady errors are equal as no limit is active then."""
+def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
+    """Return whether the steady errors are equal as no limit is active then."""
     two = run.r_tail_max_m, law.r_tail_max_m
     active = records.steps(run)["n_active"].to_numpy()
     return abs(two[0] - two[1]) <= SAME * max(two) and not active[len(active) // 2 :].any()

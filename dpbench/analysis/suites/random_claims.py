@@ -14,9 +14,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
@@ -28,7 +27,7 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of the steps of some cells.
+    """Counts of the steps of some cells.
 
     Parameters
     ----------
@@ -54,14 +53,14 @@ class Tally:
 
 
 class RandomClaims:
-    """The steps of all random sequences with what they count as.
+    """Classified steps of all random sequences.
 
-    `runs` are those that were not refused, each once: settings without effect, one run shown
-    under several names, stand as one run with all of them in `settings`.
+    `runs` are those that were not refused, each once: settings without effect, one run shown under
+    several names, are one run with all of them in `settings`.
     """
 
     def __init__(self, records: Records) -> None:
-        self.runs = _once([run for run in records.random if run.outcome != "refused"])
+        self.runs = _merge_equal_runs([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
         tables = [
             claims_by_run(table[table["counts"]])
@@ -73,34 +72,33 @@ class RandomClaims:
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Tallies by the values of some columns of the runs."""
+        """Return tallies by the values of some columns of the runs."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
         return dict(zip(dict.fromkeys(keys), tallies, strict=True))
 
 
-def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     kept: list[RunRecord] = []
     for own in grouped(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = grouped(own, lambda run: run.settings)
-        for alike in grouped(by_level.items(), lambda level: _figures(level[1])).values():
+        for alike in grouped(by_level.items(), lambda level: _run_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _figures(runs: Sequence[RunRecord]) -> str:
-    """Times never repeat to the nanosecond, so equal ones are those of one run."""
+def _run_key(runs: Sequence[RunRecord]) -> str:
+    """Return a key of a run: times never repeat to the nanosecond."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
 CLAIMS = ("status", "certificate", "claimed", "true")
-"""What `classify_steps` asks of steps."""
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
+    """Count the steps of each run by `classify_steps`, by run_id."""
     return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.verdict.requirements import cost_ratio, survived
 from dpbench.bench.record.configuration import Configuration
 
 
 @dataclass(frozen=True, eq=False)
 class DelayedConfiguration:
-    """A configuration on slower and slower computers: `loops` by slow-down, rising."""
+    """Configuration on slower and slower computers: `loops` by slow-down, rising."""
 
     configuration: Configuration
     loops: dict[float, RunRecord]
@@ -39,7 +38,7 @@ class DelayedGroup:
 
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
-    """The loops on slow computers by scenario, configurations that survive most first."""
+    """Group the loops on slow computers by scenario; configurations that survive most first."""
     groups = grouped(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
     return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
 
@@ -50,15 +49,12 @@ def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ..
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
         for configuration, loops in grouped(rising, lambda run: run.configuration).items()
     ]
-    return tuple(sorted(delayed, key=_by_survival))
+    return tuple(sorted(delayed, key=_survival_key))
 
 
-def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Those that survive most first, then those whose last loop costs least."""
+def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
+    """Sort key: the most survived first, then the least cost of the last loop."""
     last = list(configuration.loops.values())[-1]
-    survives, cost = configuration.survives, cost_ratio(last)
-    return (
-        math.inf if math.isnan(survives) else -survives,
-        math.inf if math.isnan(cost) else cost,
-        last.name,
-    )
+    values = -configuration.survives, cost_ratio(last)
+    survives, cost = (math.inf if math.isnan(value) else value for value in values)
+    return survives, cost, last.name

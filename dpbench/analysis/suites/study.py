@@ -27,10 +27,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
+from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
 from dpbench.analysis.verdict.fastest import known_record
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
@@ -74,12 +73,11 @@ class PairedDifference:
 
     @property
     def mean(self) -> Interval:
-        """With its 95 % interval; infinitely wide where none is supported."""
+        """Mean with its 95 % interval; infinitely wide where none is supported."""
         return self.estimate.interval
 
     def replicates_for(self, difference: float) -> int | None:
-        """Replicates of each point after which a difference of this size would be told from none;
-        None where the spread is not known."""
+        """Return the replicates of each point that show such a difference; None if unknown."""
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -114,7 +112,7 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
 
 
 def mean_over_points(values: Floats) -> MeanEstimate:
-    """The mean over points of the means over realisations; see the module.
+    """Return the mean over points of the means over realisations; see the module.
 
     Parameters
     ----------
@@ -152,7 +150,6 @@ class StudiedConfiguration:
 
     Parameters
     ----------
-    name, solver, settings : as everywhere.
     runs, finished : how many it was given, and how many came to their end.
     held : share of runs whose radial error stays within the radius in their second half; a run
         that did not end is not held.
@@ -181,12 +178,12 @@ class StudiedConfiguration:
 
     @property
     def differs(self) -> bool:
-        """Whether its radial error differs significantly from that of the reference."""
+        """True if its radial error differs significantly from that of the reference."""
         return self.p_differs <= ALPHA
 
     @property
     def has_larger_error(self) -> bool:
-        """Whether its radial error is significantly larger than that of the reference."""
+        """True if its radial error is significantly larger than that of the reference."""
         return (
             self.error_excess_m is not None
             and self.differs
@@ -195,12 +192,12 @@ class StudiedConfiguration:
 
     @property
     def tolerance(self) -> float | None:
-        """As of `_tolerance`."""
+        """Tolerance of its settings, see `_tolerance`."""
         return _tolerance(self.solver, self.settings)
 
     @property
     def is_cheap(self) -> bool:
-        """Whether it costs significantly less than 1 cm and less than 1 % of the cost."""
+        """True if it costs significantly less than 1 cm and less than 1 % of the cost."""
         if self.finished < self.runs:
             return False
         return self.error_excess_m is None or self.p_cheap <= ALPHA
@@ -218,12 +215,7 @@ class StudiedConfiguration:
 
 
 class Study:
-    """The runs of one study.
-
-    Parameters
-    ----------
-    radius_m : within which a run is held.
-    """
+    """Runs of one study; a run is held within `radius_m`."""
 
     def __init__(self, name: str, runs: Sequence[RunRecord], radius_m: float) -> None:
         self.name, self.radius_m = name, radius_m
@@ -254,7 +246,7 @@ class Study:
 
     @property
     def replicates(self) -> int:
-        """How many seas each point was run in."""
+        """Number of seas that each point was run in."""
         return int(self.runs["replicate"].nunique())
 
     @property
@@ -264,8 +256,11 @@ class Study:
 
     @cached_property
     def reference(self) -> str:
-        """The configuration that the others are compared with: of those that finished most runs the
-        most exact by its settings. No error or cost decides, as those are what is compared."""
+        """Configuration that the others are compared with.
+
+        Of those that finished most runs the most exact by its settings. No error or cost decides:
+        those are compared.
+        """
         solving = self.runs[~self.runs["baseline_law"]]
         pool = solving if len(solving) else self.runs
         finished = pool.groupby("configuration", sort=False)["finished"].sum()
@@ -276,23 +271,25 @@ class Study:
 
     @cached_property
     def configurations(self) -> list[StudiedConfiguration]:
-        """Every configuration against the reference, which is the first; then the nearest first."""
+        """Every configuration, the reference first, then the nearest to the exact loop."""
         known = [self._of(str(name)) for name in self.runs["configuration"].unique()]
         known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
         reference, *others = known
-        adjusted = [holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)]
+        adjusted = [
+            adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
+        ]
         return [reference] + [
             replace(one, p_differs=float(differs), p_cheap=float(cheap))
             for one, differs, cheap in zip(others, *adjusted, strict=True)
         ]
 
     def values(self, configuration: str, column: str) -> pd.Series:
-        """A column of a configuration's finished runs, by (point, replicate)."""
+        """Return a column of a configuration's finished runs, by (point, replicate)."""
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
     def difference(self, configuration: str, column: str) -> PairedDifference:
-        """A column of a configuration less that of the reference, in the same seas."""
+        """Return a column of a configuration less that of the reference, in the same seas."""
         return paired_difference(
             self.values(configuration, column), self.values(self.reference, column)
         )
@@ -316,8 +313,7 @@ class Study:
 
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
-        """Of each solver that was run at stated tolerances, the loosest that is cheap; None where
-        none is."""
+        """Loosest cheap tolerance of each solver that was run at several; None where none is."""
         stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
         for solver, of_solver in grouped(stated, lambda one: one[1].solver).items():
@@ -326,35 +322,34 @@ class Study:
         return loosest
 
     def held_map(self, configuration: str) -> pd.DataFrame:
-        """Share of seas held at each point: the keys' values, `runs`, `held` (a share)."""
+        """Return the keys' values, `runs` and the share of seas `held` at each point."""
         runs = self.runs[self.runs["configuration"] == configuration]
         held = runs.groupby("point")["held"].agg(runs="count", held="mean")
         return self.points.join(held, how="inner")
 
 
 def studies(records: Records) -> list[Study]:
-    """All studies of a result folder."""
+    """Return all studies of a result folder."""
     radii = {
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
     }
-    by_name: dict[str, list[RunRecord]] = {}
-    for run in records.study:
-        by_name.setdefault(run.study, []).append(run)
+    by_name = grouped(records.study, lambda run: run.study)
     return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
 def _tolerance(solver: str, settings: str) -> float | None:
-    """The tolerance of its settings; None of a library's own choice, with none to set, or of a
-    solver that this installation does not know."""
+    """Return the tolerance of settings; None of a library's own choice or without one to set."""
     if known_record(solver) is None or not settings_matter(solver):
         return None
     return TOLERANCES.get(settings) or tolerance_of(settings)
 
 
 def _exactness(solver: str, settings: str) -> tuple[int, float]:
-    """Sort key, the most exact first: `EXACT_FIRST`, solvers without a tolerance, the tightest
-    tolerance, then what does not tell."""
+    """Sort key, the most exact first.
+
+    `EXACT_FIRST`, solvers without a tolerance, the tightest tolerance, then unknown ones.
+    """
     tolerance = _tolerance(solver, settings)
     if solver in EXACT_FIRST:
         return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)

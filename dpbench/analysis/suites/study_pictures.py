@@ -1,4 +1,4 @@
-"""What pictures of a study show: shares held over its keys, and how far seas lie behind."""
+"""Data of a study's pictures: shares held over its keys, and excess errors of its seas."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import pandas as pd
 from dpbench.analysis.suites.study import PairedDifference, Study
 
 MOST_MAPS = 6
-"""The reference, and those that hold least, are mapped; more maps than these nobody compares."""
+"""The reference, and those that hold least, are mapped."""
 MOST_POINTS, FIELDS = 300, 14
 """A map of more points shows fields instead, so many along each key."""
 MOST_DOTS = 1500
-"""So many seas a figure draws: of more, some of each configuration at even ranks, the least and the
-largest among them."""
+"""Most seas of a figure: of more, some of each configuration at even ranks, with its extremes."""
 
 
 def fits(study: Study) -> bool:
-    """Whether every point has a place of its own on a map."""
+    """Return whether every point has a place of its own on a map."""
     return len(study.points) <= MOST_POINTS
 
 
 def held_maps(study: Study) -> pd.DataFrame:
-    """The maps of the reference and of those that hold least: configuration, x and y (the first
-    numeric keys), held (a share) and runs."""
+    """Return the maps of the reference and of those that hold least.
+
+    Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
+    """
     ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
     numeric = study.points.select_dtypes("number").columns.tolist()
     columns = dict(zip(numeric, ("x", "y"), strict=False))
@@ -35,7 +36,7 @@ def held_maps(study: Study) -> pd.DataFrame:
         table = study.held_map(configuration.name).rename(columns=columns)
         part = table[[*names, "held", "runs"]]
         if not fits(study):
-            part = part.assign(**{name: _fields(part[name]) for name in names})
+            part = part.assign(**{name: _field_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
@@ -44,8 +45,8 @@ def held_maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _fields(values: pd.Series[float]) -> pd.Series[float]:
-    """The middle of the field that each value lies in."""
+def _field_centres(values: pd.Series[float]) -> pd.Series[float]:
+    """Return the middle of the field of each value."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
     number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
@@ -53,15 +54,17 @@ def _fields(values: pd.Series[float]) -> pd.Series[float]:
 
 
 def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
-    """A mean with the ends of its interval [cm], None where none is stated; and its pairs."""
+    """Return a mean with the ends of its interval [cm], None where it has none; and its pairs."""
     mean = difference.mean
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
 def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """How far configurations are behind the reference: their means, see `mean_cm`, some of their
-    seas [cm], and how many seas there are."""
+    """Return the means of `mean_cm`, some seas [cm], and the number of seas.
+
+    They are excess errors of configurations over the reference.
+    """
     reference = study.values(study.reference, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0
@@ -78,7 +81,7 @@ def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
 
 
 def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """How far each run is behind that of the reference in the same sea [cm]; NaN without one."""
+    """Return each run's excess error over the reference in the same sea [cm]; NaN without one."""
     reference = study.values(study.reference, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
     other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
@@ -86,9 +89,11 @@ def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
 
 
 def worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Of some runs, by their ids, one of the configuration that holds fewest seas, or else of that
-    farthest from the exactly solved loop: a sea that it does not hold, or else the one in which it
-    is farthest off; None of none."""
+    """Return the id of the worst of some runs; None of none.
+
+    It is of the configuration that holds fewest seas, or else of that farthest from the exactly
+    solved loop: in a sea that it does not hold, or else in the one of its largest error.
+    """
     rows = study.runs[study.runs["run_id"].isin(among)]
     if rows.empty:
         return None

@@ -1,30 +1,140 @@
 """Contrasts on the same QPs: routes, settings, formulations, and two solvers.
 
-Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native reuse,
-native warm: the first step down is what the wrapper costs, the second what a kept workspace gains,
-the third what a warm start gains.
+Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native
+reuse, native warm: the first step is the cost of the wrapper, the second the gain of a kept
+workspace, the third that of a warm start.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.times.pairs import paired
+from dpbench.analysis.statistics import (
+    UNKNOWN,
+    Interval,
+    paired_ratio,
+    pooled_mean,
+    select_long,
+)
 from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import median
 from dpbench.bench.record.configuration import settings_level
 
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """Times of two configurations on the same steps, as a ratio second/first.
+
+    `leaders` names the faster one by each yardstick; where they differ the order is unstable.
+    """
+
+    first: str
+    second: str
+    ratio: Interval
+    steps: int
+    leaders: dict[str, str]
+
+    @property
+    def tied(self) -> bool:
+        """True if the two cannot be told apart."""
+        return self.ratio.spans(1.0)
+
+    @property
+    def unstable(self) -> bool:
+        """True if another yardstick names another leader."""
+        return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Names, ratio with its interval, and its assessment, for a table."""
+        ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
+        names = {"first": self.first, "second": self.second}
+        return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
+
+
+def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
+    """Return the algorithmic times of the steps that both configurations have done."""
+    if np.array_equal(first.k, second.k):
+        return first.algo_ns, second.algo_ns
+    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
+    return first.algo_ns[in_first], second.algo_ns[in_second]
+
+
+def pooled_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
+    """Return the ratio second/first on the steps that both of each pair have done.
+
+    Each pair has equal weight; unknown where there are none.
+    """
+    common = (paired(first, second) for first, second in replays)
+    return pooled_mean([np.log(second / first) for first, second in common if len(first)])
+
+
+def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
+    """Return half the width of the log ratio's interval of two configurations; NaN without one.
+
+    Both by the number of the replay.
+    """
+    ratio = pooled_ratio((first[place], second[place]) for place in first if place in second)
+    known = ratio.low > 0.0 and ratio.high < math.inf
+    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
+
+
+def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
+    """Compare two configurations on the steps of the sequences that are `select_long`.
+
+    Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
+    there is none.
+    """
+    names = first.configuration.label, second.configuration.label
+    logs: list[Floats] = []
+    leaders: dict[str, str] = {}
+    for sequence in records.sequences:
+        times = [_find_times(records, sequence, verdict) for verdict in (first, second)]
+        if times[0] is None or times[1] is None:
+            continue
+        first_ns, second_ns = paired(times[0], times[1])
+        if not len(first_ns):
+            continue
+        logs.append(np.log(second_ns / first_ns))
+        leaders[f"median on `{sequence}`"] = names[int(np.median(first_ns) > np.median(second_ns))]
+    if not logs:
+        return PairedComparison(*names, UNKNOWN, 0, {})
+    leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
+    steps = sum(map(len, select_long(logs)))
+    return PairedComparison(*names, pooled_mean(logs), steps, leaders)
+
+
+def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:
+    """Return the fastest inconclusive configuration of each solver, the fastest first.
+
+    Only those surely faster than `chosen`, without anything against the requirements.
+    """
+    unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
+    ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
+    faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
+    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
+    return list(firsts(ordered, lambda verdict: verdict.configuration.solver).values())
+
+
+def _find_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+    for run in records.replays(sequence):
+        if run.configuration.in_common_formulation == verdict.configuration:
+            return records.times(run)
+    return None
+
+
 RoutePolicy = tuple[str, str]
-"""Route and policy."""
 
 WRAPPED, NATIVE, KEPT, WARM = (
     ("qpsolvers", "fresh"),
@@ -39,12 +149,12 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
     WARM: (KEPT, NATIVE),
     WRAPPED_WARM: (WRAPPED,),
 }
-"""The neighbours a route is compared with: the first that was measured."""
+"""Neighbours a route is compared with: the first that was measured."""
 
 
 @dataclass(frozen=True)
 class RouteGain:
-    """A route of a solver at one settings level, against its neighbour `above`.
+    """Route of a solver at one settings level, against its neighbour `above`.
 
     Parameters
     ----------
@@ -68,22 +178,22 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
     medians: dict[tuple[float, str], list[RouteGain]] = {}
     by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
-        times: dict[RoutePolicy, StepTimes] = {}
-        for run in runs:
-            if (of_run := records.times(run)) is not None:
-                times[run.route, run.policy] = of_run
+        timed = ((run, records.times(run)) for run in runs)
+        times: dict[RoutePolicy, StepTimes] = {
+            (run.route, run.policy): own for run, own in timed if own is not None
+        }
         if any(route == "native" for route, _ in times):
             fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
             own = medians.setdefault((fastest, solver), [])
-            own += [RouteGain(solver, settings, *gain) for gain in _gains(times)]
+            own += [RouteGain(solver, settings, *gain) for gain in _gains_by_route(times)]
     gains = [gain for key in sorted(medians) for gain in medians[key]]
     return gains if any(gain.route[0] == "native" for gain in gains) else []
 
 
-def _gains(
+def _gains_by_route(
     times: Mapping[RoutePolicy, StepTimes],
 ) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
-    """Neighbour, route, gain and median of each route that has a neighbour and common steps."""
+    """Yield neighbour, route, gain and median of each route with a neighbour and common steps."""
     for route, own in times.items():
         above = next((above for above in ABOVE.get(route, ()) if above in times), None)
         if above is not None:
@@ -93,23 +203,20 @@ def _gains(
 
 
 def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
-    """The settings levels at which each solver is right on every step, the most usual first."""
+    """Return the levels at which each solver is right on every step, the most usual first."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    levels_of = {
-        solver: grouped(own, lambda run: run.settings)
-        for solver, own in grouped(runs, lambda run: run.solver).items()
-    }
-    return {
-        solver: [
-            level for level, own in of.items() if all(is_right(run, requirements) for run in own)
-        ]
-        for solver, of in levels_of.items()
-    }
+    levels: dict[str, list[str]] = {run.solver: [] for run in runs}
+    for (solver, level), own in grouped(runs, lambda run: (run.solver, run.settings)).items():
+        if all(is_right(run, requirements) for run in own):
+            levels[solver].append(level)
+    return levels
 
 
 def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
-    """How often each formulation has the least median step time, of the configurations that are
-    right on a sequence in two at least."""
+    """Count how often each formulation has the least median step time.
+
+    Of the configurations that are right on a sequence in two at least.
+    """
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
@@ -123,7 +230,7 @@ def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
 def common_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Timed replays of a solver that another has done in the same call mode; both step times."""
+    """Yield timed replays of two solvers in the same call mode, with both step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

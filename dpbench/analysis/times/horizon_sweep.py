@@ -1,5 +1,4 @@
-"""Horizon sweeps: which replays are of one scenario under several horizons, and their
-configurations."""
+"""Horizon sweeps: replays of one scenario under several horizons."""
 
 from __future__ import annotations
 
@@ -11,9 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right
@@ -29,12 +27,12 @@ LEAST_SIZES = 3
 
 
 def moves_of(horizons: Horizons) -> int:
-    """How many moves a plan has: the n of the condensed form, on which all forms are compared."""
+    """Return the number of moves of a plan: n of the condensed form, which compares all forms."""
     return len(FORCES) * horizons[1]
 
 
 def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
-    """p of the power law t = c · size^p through the medians of the step times (K,) at each size.
+    """Return p of the power law t = c · size^p through the median times (K,) at each size.
 
     Least squares of log t on log size; None with fewer than `LEAST_SIZES` different sizes.
     """
@@ -58,12 +56,12 @@ class Point:
 
     @property
     def p99_ns(self) -> float:
-        """Its p99; NaN where the steps do not support one."""
+        """p99 of the algorithmic step time; NaN where the steps do not support one."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """It with its bootstrap interval over steps."""
+        """p99 with its interval over steps."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
@@ -87,26 +85,26 @@ class SweptConfiguration:
 
     @property
     def has_p99(self) -> bool:
-        """Whether it has enough steps for a p99 anywhere."""
+        """True if it has enough steps for a p99 anywhere."""
         return any(math.isfinite(point.p99_ns) for point in self.timed.values())
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
-        """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
+        """Return the largest measured horizons with right answers and a p99 within `limit_ns`."""
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
-        return max(fit, key=_by_moves, default=None)
+        return max(fit, key=_moves_key, default=None)
 
     def measured_beyond(self, horizons: Horizons) -> bool:
-        """Whether longer horizons have a p99, be their answers right or not."""
-        beyond = (p for h, p in self.timed.items() if _by_moves(h) > _by_moves(horizons))
+        """Return whether longer horizons have a p99, of right answers or not."""
+        beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
     def settled(self, limit_ns: float) -> bool:
-        """Whether no interval of a p99 of right answers from there on holds `limit_ns`."""
+        """Return whether no interval of a p99 of right answers beyond contains `limit_ns`."""
         largest = self.largest_within(limit_ns)
         beyond = [
             point
             for h, point in self.timed.items()
-            if point.right and (largest is None or _by_moves(h) >= _by_moves(largest))
+            if point.right and (largest is None or _moves_key(h) >= _moves_key(largest))
         ]
         return not any(point.p99_interval.spans(limit_ns) for point in beyond)
 
@@ -127,12 +125,14 @@ class Sweep:
 
     @property
     def has_p99(self) -> bool:
-        """Whether any of its replays has enough steps for a p99."""
+        """True if any of its replays has enough steps for a p99."""
         return any(swept.has_p99 for swept in self.swept)
 
     def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
-        """The longest horizons with right answers within a limit: by p99, or by the largest step
-        where there are too few for one."""
+        """Return the longest horizons with right answers within a limit.
+
+        By p99, or by the largest step where there are too few for one.
+        """
         if self.has_p99:
             return swept.largest_within(limit_ns)
         held = [
@@ -145,26 +145,28 @@ class Sweep:
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
-        best = sorted(self.swept, key=_preference)
+        best = sorted(self.swept, key=_preference_key)
         kinds = firsts(best, lambda s: (s.configuration.solver, s.configuration.formulation))
         return list(kinds.values())
 
 
 def sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
-    """The sweeps in the records: scenarios that were replayed under two horizons at least."""
+    """Return the sweeps in the records: scenarios replayed under two horizons at least."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = grouped(replays, _problem_key)
-    candidates = [_sweep(records, runs, requirements) for key, runs in problems.items() if key]
+    candidates = [
+        _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
+    ]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def _by_moves(horizons: Horizons) -> tuple[int, int]:
+def _moves_key(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 
 
 def _problem_key(run: RunRecord) -> str:
-    """Equal for replays that differ in their horizons only; empty where there is no scenario."""
+    """Return a key of replays that differ in their horizons only; "" without a scenario."""
     files = run.scenario_files
     if files is None or run.horizons is None:
         return ""
@@ -175,7 +177,7 @@ def _problem_key(run: RunRecord) -> str:
     return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 
-def _sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
+def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, Point]] = {}
     for run in runs:
@@ -184,25 +186,25 @@ def _sweep(records: Records, runs: Sequence[RunRecord], requirements: Requiremen
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
             of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _point(records, run, requirements))
+            of_configuration.setdefault(horizons, _build_point(records, run, requirements))
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
-        sequences=dict(sorted(sequences.items(), key=lambda item: _by_moves(item[0]))),
+        sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )
 
 
-def _point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
-    """A cell that was stopped before it had done every step once has no time to compare."""
+def _build_point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
+    """Return a cell's point; one stopped before it had done every step has no time."""
     times = records.times(run)
     whole = times is not None and len(times.algo_ns) == run.steps_planned
     return Point(run, times if whole else None, is_right(run, requirements))
 
 
-def _preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
+def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
     """Sort key: most horizons with right answers, most with a time, then the fastest."""
     right = sum(point.right for point in swept.timed.values())
-    largest = max(swept.timed, key=_by_moves, default=None)
+    largest = max(swept.timed, key=_moves_key, default=None)
     slowest_ns = swept.timed[largest].median_ns if largest else math.inf
     return -right, -len(swept.timed), slowest_ns, swept.configuration.solver

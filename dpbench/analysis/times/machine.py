@@ -1,4 +1,4 @@
-"""What disturbed the timed runs: which of them, on which sequence, and by whose doing."""
+"""Disturbances of the timed runs, by sequence and cause."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.uncertainty import uncertainty_of, usual_factor
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, usual_factor
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -23,28 +22,31 @@ neighbours too."""
 
 
 def round_spread(records: Records) -> tuple[float, float]:
-    """Return how many times as long the slowest round of a configuration takes as its fastest: the
-    median over the configurations, and what 95 % of them stay below; NaN without two rounds."""
-    slowest = list(uncertainty_of(records).slowest.values())
+    """Return the ratio of slowest to fastest round: its median, and the bound of 95 %.
+
+    Over the configurations; NaN without two rounds.
+    """
+    slowest = list(estimate_uncertainty(records).slowest.values())
     return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
-    """Every replay that was timed, the harness's own configurations too; once where it has several
-    names.
+    """Return every timed replay, calibration included, once where it has several names.
 
-    The involuntary switches that a configuration makes itself stand in `own_switches_a_step`, and
-    are NaN among those that the machine is judged by.
+    Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
+    among those that the machine is judged by.
     """
-    return _own_apart(_once_each(records))
+    runs = [*records.calibration, *records.all_runs]
+    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
+    return _set_own_switches_apart(list(firsts(timed, _run_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
-    """Every loop on a slow computer that left a step, switches of its own doing told apart."""
-    return _own_apart([run for run in records.delayed if run.has_steps])
+    """Return every loop on a slow computer that left a step, its own switches apart."""
+    return _set_own_switches_apart([run for run in records.delayed if run.has_steps])
 
 
-def _own_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _set_own_switches_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
@@ -62,20 +64,14 @@ def _switches_a_step(run: RunRecord) -> float:
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
-def _once_each(records: Records) -> list[RunRecord]:
-    runs = [*records.calibration, *records.all_runs]
-    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return list(firsts(timed, _identity).values())
-
-
-def _identity(run: RunRecord) -> tuple[object, ...]:
-    """Settings without effect are one run under several names, to the nanosecond."""
+def _run_key(run: RunRecord) -> tuple[object, ...]:
+    """Return a key to the nanosecond: settings without effect are one run under several names."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
 def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
-    """What disturbed some replays together."""
+    """Return the total disturbance of some replays."""
     parts = [
         Disturbance(
             rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,
@@ -92,9 +88,9 @@ def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
 
 
 def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
-    """What disturbed the timed replays of each sequence; one that nothing is known of is left out.
+    """Return the disturbance of the timed replays of each sequence, where it is known.
 
-    Random problems, which are not timed alone, are none of them.
+    Random problems, which are not timed alone, are not included.
     """
     replays = grouped(timed_runs(records), lambda run: run.sequence)
     disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
@@ -102,28 +98,23 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
 
 def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """By name the largest of its figures; those that are not known are left out."""
-    largest: dict[str, float] = {}
-    for name, figure in figures:
-        if not math.isnan(figure):
-            largest[name] = max(figure, largest.get(name, 0.0))
-    return largest
+    """Return by name the largest of its known figures."""
+    known = grouped((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
+    return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Of each of the harness's own solvers the median [ns] of the timings of the rounds that count,
-    the largest of its replays."""
+    """Return the largest median [ns] of the counting timings of each calibration solver."""
     return largest_of((run.solver, run.raw_p50_ns) for run in calibration)
 
 
 def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
-    """The shortest wait of known length that was measured [ns]; NaN for none."""
+    """Return the shortest wait of known length that was measured [ns]; NaN for none."""
     waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
     return float(min(waits, default=math.nan))
 
 
-def calling_ns(records: Records) -> float:
-    """What calling a library that only copies takes [ns]; NaN where it was not measured."""
-    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
-    known = [t for t in times if math.isfinite(t)]
-    return min(known) if known else math.nan
+def library_call_ns(records: Records) -> float:
+    """Return the time of a call to a library that only copies [ns]; NaN without it."""
+    times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
+    return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from math import isnan, nan
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.kept_runs import KeptRun
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.times.machine import calling_ns
-from dpbench.analysis.times.pairs import log_reach, paired_comparison
+from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
+from dpbench.analysis.times.machine import library_call_ns
 from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
@@ -34,13 +33,13 @@ LARGEST_ERROR = 1e3
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """What a configuration is told apart by where a solver stands in a column of its own."""
+    """Return what tells a configuration apart beside the column of its solver."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
 def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
-    """The verdict on every configuration over all its runs; times in µs."""
+    """Return the verdict on every configuration over all its runs; times in µs."""
     return pd.DataFrame(
         [
             {
@@ -94,7 +93,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
     """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
-    called_ns = calling_ns(matrix.records)
+    called_ns = library_call_ns(matrix.records)
     rows = [
         {
             "id": str(matrix.index(verdict.configuration)),
@@ -122,13 +121,12 @@ def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
 
 
 def tile_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Solver × experiment × settings, of each solver in the call mode of its best configuration, so
-    that of the one to use these are its own experiments."""
+    """Return solver × experiment × settings, in the call mode of its best configuration."""
     best = {v.configuration.solver: v.configuration for v in best_of_each(matrix.verdicts)}
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile(matrix, replace(mode, settings=level), p)
+            _tile_row(matrix, replace(mode, settings=level), p)
             for mode in modes
             for level in matrix.levels
             for p in matrix.judged_experiments
@@ -136,7 +134,7 @@ def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     )
 
 
-def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
@@ -155,41 +153,37 @@ def _tile(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
 
 
 def level_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Error and time at each settings level of each solver, in the call mode of its best
-    configuration; no row for an answer beyond `LARGEST_ERROR`."""
+    """Return error and time at each settings level of each solver.
+
+    In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
+    """
     best = (v.configuration for v in best_of_each(matrix.verdicts))
     modes = {c.solver: (c.route, c.policy) for c in best}
     levels = level_points(matrix.records, matrix.records.sequences, modes)
     states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
-    rows = [
-        _point(matrix, point, states)
-        for points in levels.values()
-        for point in points
-        if point.error_move < LARGEST_ERROR and not isnan(point.p50_ns)
-    ]
+    rows = []
+    for point in chain.from_iterable(levels.values()):
+        if not point.error_move < LARGEST_ERROR or isnan(point.p50_ns):
+            continue
+        judged = point.configuration.in_common_formulation
+        columns = {
+            "id": str(matrix.index(judged)),
+            "family": family_of(judged.solver),
+            "error": point.error_move,
+            "p50_us": point.p50_ns / 1e3,
+            "p99_us": point.p99_ns / 1e3,
+            "verdict": states.get(judged, "not judged"),
+        }
+        rows.append(configuration_columns(point.configuration) | columns)
     return pd.DataFrame(rows)
 
 
-def _point(
-    matrix: RunMatrix, point: LevelPoint, states: Mapping[Configuration, str]
-) -> dict[str, Any]:
-    judged = point.configuration.in_common_formulation
-    return configuration_columns(point.configuration) | {
-        "id": str(matrix.index(judged)),
-        "family": family_of(judged.solver),
-        "error": point.error_move,
-        "p50_us": point.p50_ns / 1e3,
-        "p99_us": point.p99_ns / 1e3,
-        "verdict": states.get(judged, "not judged"),
-    }
-
-
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
-    """The hardest steps of every run outside studies by each measure; times in µs.
+    """Return the hardest steps of every run outside studies by each measure; times in µs.
 
     Parameters
     ----------
-    kept : what is kept of each run, by its id.
+    kept : by run id.
     """
     labels = {
         run.run_id: matrix.configurations[c].label
@@ -209,36 +203,34 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFr
 
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
-    """How many times as long each solver's best configuration takes as the fastest of them, step
-    by step, with the interval of the mean."""
+    """Return the paired ratio of each solver's best configuration to the fastest of them."""
     timed = fastest_first([v for v in best_of_each(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
 def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """The configurations that were timed, and of any two of them, (0, 1), (0, 2), ... (1, 2), ...,
-    how far the 95 % interval of their paired ratio reaches, see `log_reach`."""
+    """Return the timed configurations, and `log_half_width` of any two of them.
+
+    In the order (0, 1), (0, 2), ... (1, 2), ...
+    """
     timed: dict[int, dict[int, StepTimes]] = {}
     for (c, p), run in matrix.runs.items():
-        if (
-            matrix.experiments[p].mode == "replay"
-            and (times := matrix.records.times(run)) is not None
-        ):
+        times = matrix.records.times(run) if matrix.experiments[p].mode == "replay" else None
+        if times is not None:
             timed.setdefault(c, {})[p] = times
-    return list(timed), [log_reach(*two) for two in combinations(timed.values(), 2)]
+    return list(timed), [log_half_width(*two) for two in combinations(timed.values(), 2)]
 
 
 @dataclass(frozen=True)
 class LevelPoint:
-    """A configuration, at one settings level of its solver, over all sequences.
+    """Configuration at one settings level of its solver, over all sequences.
 
     Parameters
     ----------
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
         so that both are of the same steps; where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
-    failed : failed steps.
     """
 
     configuration: Configuration
@@ -251,13 +243,12 @@ class LevelPoint:
 def level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Per solver its points in one call mode, so that a line joins settings alone, the most usual
-    first.
+    """Return the points of each solver in one call mode, the most usual settings first.
 
     Parameters
     ----------
     sequences : all of which a configuration was replayed on, or it has no point.
-    modes : of each solver route and policy; one that is not in it has no points.
+    modes : route and policy by solver; one that is not in it has no points.
     """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
     wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]

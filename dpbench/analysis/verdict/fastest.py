@@ -1,7 +1,7 @@
-"""Who is fastest of all verdicts, and which one to use.
+"""Fastest configurations of all verdicts, and the one to use.
 
-To use is the fastest that nothing contradicts and that can go aboard a ship. The fastest of all may
-exist only as this benchmark's own Python code. It is named, and never recommended by itself.
+To use is the fastest that nothing contradicts and that can be deployed. The fastest of all may
+exist only as this benchmark's own Python code; it is named, and never recommended by itself.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.run_record import grouped
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
@@ -23,74 +23,78 @@ ALIKE = 0.03
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """By p99, those without one by their largest step time, those without time last."""
+    """Sort by p99, those without one by their largest step time, those without time last."""
     return sorted(
         verdicts,
-        key=lambda v: (_known(v.p99_ns), _known(v.algo_max_ns), v.configuration.solver),
+        key=lambda v: (
+            _finite_or_inf(v.p99_ns),
+            _finite_or_inf(v.algo_max_ns),
+            v.configuration.solver,
+        ),
     )
 
 
-def _known(time_ns: float) -> float:
+def _finite_or_inf(time_ns: float) -> float:
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
-def qualifying(verdicts: Verdicts) -> list[Verdict]:
-    """Return the configurations without a finding against them that were timed on the most
-    sequences, the fastest first; of two names of one run the more usual settings."""
+def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
+    """Return the configurations that rank, timed on the most sequences, the fastest first.
+
+    Of two names of one run the more usual settings.
+    """
     ranks = [verdict for verdict in verdicts.all if verdict.ranks]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_level))
+    return fastest_first(sorted(wide, key=_level_key))
 
 
 def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """The fastest configuration of one solver, at its most usual settings where others are hardly
-    faster."""
-    return next((v for v in ranked_qualifying(verdicts) if v.configuration.solver == solver), None)
+    """Return the solver's fastest configuration, or more usual settings hardly slower."""
+    return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
-def ranked_qualifying(verdicts: Verdicts) -> list[Verdict]:
+def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     """Return the fastest qualifying configuration of each solver, the fastest solver first."""
-    by_solver = grouped(qualifying(verdicts), lambda verdict: verdict.configuration.solver)
+    by_solver = grouped(rank_configurations(verdicts), lambda verdict: verdict.configuration.solver)
     return list(map(_most_usual, by_solver.values()))
 
 
 def _most_usual(own: Sequence[Verdict]) -> Verdict:
-    """Of one solver's verdicts, the fastest first: the most usual settings that are as fast."""
+    """Return the most usual settings that are as fast as a solver's fastest, the first."""
     best = own[0]
+    mode = best.configuration.route, best.configuration.policy
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
-        if verdict.configuration.route == best.configuration.route
-        and verdict.configuration.policy == best.configuration.policy
-        and (_figure(verdict) <= (1.0 + ALIKE) * _figure(best) or _rounds_overlap(verdict, best))
+        if (verdict.configuration.route, verdict.configuration.policy) == mode
+        # Where rounds overlap, the least of a few may be lower for the slower one by chance.
+        and (
+            _ranking_time(verdict) <= usual
+            or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
+        )
     ]
-    return min(alike, key=_level)
+    return min(alike, key=_level_key)
 
 
-def _rounds_overlap(a: Verdict, b: Verdict) -> bool:
-    """Whether a round of either was as slow as one of the other: by chance the least of a few
-    rounds may then be lower for the slower one."""
-    return a.rounds_ns[0] <= b.rounds_ns[1] and b.rounds_ns[0] <= a.rounds_ns[1]
-
-
-def _level(verdict: Verdict) -> tuple[int, str]:
+def _level_key(verdict: Verdict) -> tuple[int, str]:
     return settings_level(verdict.configuration.settings)
 
 
-def _figure(verdict: Verdict) -> float:
+def _ranking_time(verdict: Verdict) -> float:
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
 
 
 @dataclass(frozen=True)
 class SolverChoice:
-    """The solver to use, by the results of one folder.
+    """Solver to use, by the results of one folder.
 
     Parameters
     ----------
-    chosen : the fastest configuration that can be deployed; None where nobody qualifies.
+    chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
-    faster : the fastest of all, where that is another one; `because` says why it is not chosen.
+    faster : the fastest of all, where that is another one; `because` is why it is not chosen.
     """
 
     chosen: Verdict | None
@@ -105,7 +109,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
     """
-    known = ranked_qualifying(verdicts)
+    known = rank_solvers(verdicts)
     met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
     candidates = met or near or known
     deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
@@ -116,7 +120,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
 
 
 def known_record(solver: str) -> SolverRecord | None:
-    """The record of a solver; None for one that this installation does not know."""
+    """Return the record of a solver; None for one that this installation does not have."""
     try:
         return record(solver)
     except UnknownNameError:
@@ -124,7 +128,7 @@ def known_record(solver: str) -> SolverRecord | None:
 
 
 def family_of(solver: str) -> str:
-    """The family of methods a solver belongs to; "not stated" of one that is not known here."""
+    """Return the family of methods of a solver; "not stated" of one that is not known here."""
     return str(getattr(known_record(solver), "family", "not stated"))
 
 
@@ -137,10 +141,10 @@ def deployment_blocker(solver: str) -> str:
 def best_of_each(verdicts: Verdicts) -> list[Verdict]:
     """Return the configuration that shows each solver, the best state first, then by time.
 
-    It is one of the solver's best state: the one of `ranked_qualifying`, else its reference, else
-    the fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
+    It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
+    fastest. Where some were run in both modes, those without a loop or a replay do not count.
     """
-    fastest = {verdict.configuration.solver: verdict for verdict in ranked_qualifying(verdicts)}
+    fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
     for solver, own in verdicts.of.items():
         whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own

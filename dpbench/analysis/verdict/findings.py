@@ -45,23 +45,22 @@ Doubt = Literal[
 Near = Literal["p99 borderline", "p95 borderline", "deadline borderline", "loop borderline"]
 Gap = Literal["absent", "refused", "short"]
 LATE: tuple[Cause, ...] = get_args(LateCause)
-"""Causes that say that right answers came too late, or never; all others that one was wrong."""
+"""Causes by which right answers came too late, or never; by all others an answer was wrong."""
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
-"""Outcomes of runs that are the solver's own doing, and contradict any requirements."""
+"""Outcomes of runs that the solver itself caused, and that contradict any requirements."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Something found against a configuration, or that could not be found out.
+    """Finding against a configuration, or on what could not be judged.
 
     Parameters
     ----------
     runs : the runs it was found in, the worst first.
-    value : the figure: an error, a time [ns], a share of timings, or steps where the kind is about
-        steps.
-    steps : the steps or timings the figure is from.
+    value : an error, a time [ns], a share of timings, or steps, by kind.
+    steps : the steps or timings of the figure.
     machine : of a share of late timings, the share that the machine explains.
     """
 

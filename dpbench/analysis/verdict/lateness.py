@@ -33,18 +33,19 @@ The tests of one kind are one family (Holm 1979): "proven" holds at a family-wis
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import Delays
-from dpbench.analysis.statistics import holm
+from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
@@ -75,8 +76,7 @@ class LateTimings:
 
     Parameters
     ----------
-    run : the replay or closed loop.
-    late, samples : late timings of how many, over all rounds.
+    late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
     """
@@ -94,7 +94,7 @@ class LateTimings:
         return self.late / self.samples
 
     @property
-    def proven(self) -> bool:
+    def is_proven(self) -> bool:
         """True where the machine is excluded as the cause; otherwise that is doubtful."""
         return self.p <= PROVEN
 
@@ -119,6 +119,10 @@ class Machine:
         return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
 
 
+MachineAt = Callable[[float], Machine]
+"""The machine by the limit [ns]."""
+
+
 def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
@@ -128,9 +132,10 @@ def find_late_timings(
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
     found = records.delays([*replays, *loops, *arms])
-    left = [run for run in (*replays, *loops, *arms) if run.run_id in found]
-    delays = {run.run_id: _known(run, found[run.run_id]) for run in left}
-    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
+    replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
+    delays = {
+        run.run_id: _usable_delays(run, found[run.run_id]) for run in (*replays, *loops, *arms)
+    }
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
@@ -144,35 +149,28 @@ def find_late_timings(
         ],
         "past the deadline": _test_deadline(loops, replays, arms, delays, requirements),
     }
-    late = [test for of_kind in tests.values() for test in adjust(of_kind) if test.p <= DOUBTFUL]
-    return grouped(late, lambda test: test.run.run_id)
-
-
-def _known(run: RunRecord, delays: Delays) -> Delays:
-    """Return the delays of a run; gross where its own threads may be what it waits for."""
-    waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
-    return delays.gross() if waits else delays
-
-
-def _beside(own: Delays, others: Sequence[Delays]) -> list[Delays]:
-    """Return what other runs show of the machine, as the own delays are known."""
-    if own.knows_waits:
-        return [other for other in others if other.knows_waits]
-    return [other.gross() for other in others]
-
-
-def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
-    """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
-    family = [test for test in tests if not math.isnan(test.machine)]
-    adjusted = holm(np.array([test.p for test in family]))
-    return [
-        *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
-        *(test for test in tests if math.isnan(test.machine)),
-    ]
+    adjusted = (test for family in tests.values() for test in adjust_p_values(family))
+    return grouped((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
 
 
 def _is_tested(run: RunRecord) -> bool:
     return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
+
+
+def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
+    """Return the delays without their waits where those may be for the run's own threads."""
+    waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
+    return delays.without_waits if waits else delays
+
+
+def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
+    """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
+    family = [test for test in tests if not math.isnan(test.machine)]
+    adjusted = adjust_holm(np.array([test.p for test in family]))
+    return [
+        *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
+        *(test for test in tests if math.isnan(test.machine)),
+    ]
 
 
 def _test_replays(
@@ -184,49 +182,61 @@ def _test_replays(
 ) -> list[LateTimings]:
     """Test every replay against the machine as the other solvers on its sequence met it."""
     tests: list[LateTimings] = []
-    beside = trusted(replays, arms, delays, requirements)
+    sources = choose_trusted_runs(replays, arms, delays, requirements)
     for _ in range(PASSES):
-        machines = grouped(beside, lambda run: run.sequence)
+        on_sequence = grouped(sources, lambda run: run.sequence)
+        machines: dict[tuple[str, str, bool], MachineAt | None] = {}
         tests = []
         for run in replays:
-            others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
             own = delays[run.run_id]
-            around = _beside(own, [delays[other.run_id] for other in others])
-            tests.append(_test_replay(run, own, around, requirements, kind))
-        late = {test.run for test in adjust(tests) if test.proven}
-        beside = [run for run in (*replays, *arms) if run not in late]
+            key = run.sequence, run.solver, own.has_waits
+            if key not in machines:
+                runs = on_sequence.get(run.sequence, [])
+                others = [delays[one.run_id] for one in runs if one.solver != run.solver]
+                machines[key] = _machine_at(others, own.has_waits)
+            tests.append(_test_replay(run, own, machines[key], requirements, kind))
+        late = {test.run for test in adjust_p_values(tests) if test.is_proven}
+        sources = [run for run in (*replays, *arms) if run not in late]
     return tests
 
 
-def trusted(
+def _machine_at(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
+    """Return the machine that other runs show, with waits or without; None where none does."""
+    if has_waits:
+        comparable = [other for other in others if other.has_waits]
+    else:
+        comparable = [other.without_waits for other in others]
+    return cache(partial(_machine_of, comparable)) if comparable else None
+
+
+def choose_trusted_runs(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[RunRecord]:
-    """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
+    """Return the runs of the first estimate of the machine, which hide no late solver.
 
     These are the calibration configurations, or else the half of the solvers with fewer stalls.
     """
     if arms:
         return list(arms)
-    stalls: dict[str, int] = {}
+    stalls: Counter[str] = Counter()
     for run in replays:
-        count = delays[run.run_id].count_stalls(0.5 * requirements.p99_ns).sum()
-        stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
+        stalls[run.solver] += int(delays[run.run_id].count_stalls(0.5 * requirements.p99_ns).sum())
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
 
 
-def machine_of(beside: Sequence[Delays], limit_ns: float) -> Machine:
+def _machine_of(others: Sequence[Delays], limit_ns: float) -> Machine:
     """Estimate the machine from other solvers' stalls longer than half a limit.
 
-    Their first round is left out: whoever remembers answers is slow in it, and the machine is not.
+    Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
-    counts = [one.count_stalls(0.5 * limit_ns) for one in beside]
+    counts = [one.count_stalls(0.5 * limit_ns) for one in others]
     first = [min(1, len(count) - 1) for count in counts]
     stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
-    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(beside, first, strict=True)])
+    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(others, first, strict=True)])
     return estimate_machine(stalls.astype(np.float64), exposed_ns)
 
 
@@ -243,38 +253,36 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
 
 
 def _test_replay(
-    run: RunRecord, own: Delays, beside: Sequence[Delays], requirements: Requirements, kind: Kind
+    run: RunRecord, own: Delays, machine: MachineAt | None, requirements: Requirements, kind: Kind
 ) -> LateTimings:
     """Test the middle round of a replay; doubtful where there is no machine to compare with."""
     counts, samples = own.count_late(requirements.p99_ns), int(own.samples.sum())
-    late = int(own.gross().count_late(requirements.p99_ns).sum())
-    if not beside:
+    late = int(own.without_waits.count_late(requirements.p99_ns).sum())
+    if machine is None:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
         return LateTimings(kind, run, late, samples, math.nan, p)
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
-    multiples = (1.0,) if allowed else MULTIPLES
-    ps = [_p_of_middle_round(own, beside, m * requirements.p99_ns, allowed) for m in multiples]
-    stalls = machine_of(beside, requirements.p99_ns).rate * float(own.base_ns.sum())
+    limits_ns = [m * requirements.p99_ns for m in ((1.0,) if allowed else MULTIPLES)]
+    ps = [_p_of_middle_round(own, machine(limit), limit, allowed) for limit in limits_ns]
+    stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
-def _p_of_middle_round(
-    own: Delays, beside: Sequence[Delays], limit_ns: float, allowed: int
-) -> float:
+def _p_of_middle_round(own: Delays, machine: Machine, limit_ns: float, allowed: int) -> float:
     """Return the probability of as many timings beyond a limit in the middle round or more."""
     counts, rounds = own.count_late(limit_ns), len(own.samples)
     middle = (rounds - 1) // 2
     x = int(np.sort(counts)[middle])
-    one_round = machine_of(beside, limit_ns).tail(x, float(own.base_ns.mean()), allowed)
+    one_round = machine.tail(x, float(own.base_ns.mean()), allowed)
     return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
 def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test the late timings of a run of one round that the machine does not explain."""
-    late, samples = int(own.gross().count_late(limit_ns).sum()), int(own.samples.sum())
-    explained = _explained(run, own, late, limit_ns)
+    late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
+    explained = _explained_count(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -284,9 +292,9 @@ def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     return LateTimings("late timings", run, late, samples, explained / samples, p)
 
 
-def _explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+def _explained_count(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
     """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
-    if own.knows_waits:
+    if own.has_waits:
         return late - int(own.count_late(limit_ns).sum())
     if math.isnan(run.involuntary_switches):
         return math.nan
@@ -302,22 +310,23 @@ def _test_deadline(
     requirements: Requirements,
 ) -> list[LateTimings]:
     """Test timings past the deadline against such stalls in all replays of other solvers."""
+    limit_ns = requirements.deadline_ns
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
         own = delays[run.run_id]
-        long = int(own.count_stalls(0.5 * requirements.deadline_ns).sum())
-        stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
+        count = int(own.count_stalls(0.5 * limit_ns).sum())
+        stalls.setdefault(run.solver, []).append((count, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
         own = delays[run.run_id]
-        late, samples = int(own.count_late(requirements.deadline_ns).sum()), int(own.samples.sum())
-        beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
+        late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
+        others = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:
             p, expected = 1.0, 0.0
-        elif not beside:
+        elif not others:
             p, expected = DOUBTFUL, math.nan
         else:
-            count, exposed_ns = (sum(part) for part in zip(*beside, strict=True))
+            count, exposed_ns = (sum(part) for part in zip(*others, strict=True))
             machine = Machine((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
             expected = machine.rate * float(own.base_ns.sum()) / samples
             p = machine.tail(late, float(own.base_ns.sum()))

@@ -1,20 +1,21 @@
-"""What a controller requires of a solver, as the suite writes it."""
+"""Requirements of a controller on a solver, as the suite writes them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.result_folder import SuiteDescription
 
 MARGIN = 0.1
-"""A loop survives a slow computer with a cost within this share of the exactly solved loop's."""
+"""A loop survives a slow computer with a cost within this share of the reference loop's."""
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a controller requires of a solver."""
+    """Requirements of a controller on a solver."""
 
     error_move: float = 1e-2
     failed_steps: int = 0
@@ -23,15 +24,10 @@ class Requirements:
 
     @classmethod
     def of(cls, suite: SuiteDescription) -> Requirements:
-        """The requirements written in `suite.json`; defaults where it is silent."""
+        """Return the requirements in `suite.json`; defaults where it has none."""
         # Folders of earlier releases have them as `demand`.
-        known = suite.get("requirements", suite.get("demand", {}))
-        return cls(
-            known.get("error_move", cls.error_move),
-            known.get("failed_steps", cls.failed_steps),
-            known.get("p99_ms", cls.p99_ms),
-            known.get("deadline_ms", cls.deadline_ms),
-        )
+        known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
+        return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
 
     @property
     def p99_ns(self) -> float:
@@ -40,16 +36,14 @@ class Requirements:
 
     @property
     def deadline_ns(self) -> float:
-        """The deadline of a step [ns]."""
+        """Deadline of a step [ns]."""
         return self.deadline_ms * 1e6
 
 
 def is_right(run: RunRecord, requirements: Requirements) -> bool:
-    """Whether the configuration's answers pass on every replayed step, and are not
-    remembered.
+    """Return whether all replayed steps pass, and no answer is remembered.
 
-    A configuration that its time limit stopped counts if it had done every step at least once by
-    then.
+    A run that its time limit stopped counts if it had done every step at least once by then.
     """
     return (
         run.outcome in ("finished", "timed_out")
@@ -61,17 +55,17 @@ def is_right(run: RunRecord, requirements: Requirements) -> bool:
 
 
 def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
-    """Whether it is right, and nothing stopped it: what a closed loop has to be."""
+    """Return whether it is right, and nothing stopped it: what a closed loop has to be."""
     return run.outcome == "finished" and is_right(run, requirements)
 
 
 def cost_ratio(run: RunRecord) -> float:
-    """Cost over that of the exactly solved loop; NaN for a loop that was not run to its end."""
+    """Return cost over that of the reference loop; NaN for a loop that did not end."""
     if not run.steps_done >= run.steps_planned:
         return math.nan
     return run.closed_loop_cost / run.exact_cost
 
 
 def survived(run: RunRecord) -> bool:
-    """Whether a loop was run to its end, at a cost within `MARGIN` and without a violation."""
+    """Return whether a loop ended, at a cost within `MARGIN` and without a violation."""
     return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -15,9 +15,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts
 from dpbench.analysis.verdict.requirements import Requirements, survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
@@ -27,10 +26,7 @@ from dpbench.scenario.scenario import Scenario, scenario_of
 
 @dataclass(frozen=True)
 class Experiment:
-    """What configurations were run on: a scenario in closed loop, or a sequence in replay.
-
-    study, point, replicate : of a sea of a study.
-    """
+    """Scenario in closed loop, or sequence in replay; of a study a point and realisation."""
 
     mode: str
     name: str
@@ -43,7 +39,7 @@ class Experiment:
 
     @classmethod
     def of(cls, run: RunRecord, formulation: str = "") -> Experiment:
-        """The experiment of a run; `formulation` where it is another than the common one there."""
+        """Return the experiment of a run; `formulation` where it is not the common one."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)
             return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
@@ -58,7 +54,7 @@ class Experiment:
 
     @property
     def label(self) -> str:
-        """As it is called on the page."""
+        """Name on the page."""
         if self.study:
             return f"{self.study}: point {self.point}, sea {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
@@ -85,11 +81,11 @@ class RunMatrix:
     def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """Arrange the runs of some records; of two of one configuration and experiment the longer.
+        """Arrange the runs of some records; of two of one cell the longer.
 
         Parameters
         ----------
-        studied : runs of studies that are experiments; kept : so many of them are among the runs.
+        studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
         runs: dict[tuple[Configuration, Experiment], RunRecord] = {}
         windows: dict[tuple[Configuration, str], RunRecord] = {}
@@ -121,39 +117,36 @@ class RunMatrix:
             where = experiment.mode, experiment.units, experiment.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
                 judged.append(window)
-            matrix.states[at] = verdict_of(
-                records, configuration, judged, [], verdicts.requirements
-            )
+            verdict = verdict_of(records, configuration, judged, [], matrix.requirements)
+            matrix.states[at] = verdict
         return matrix
 
     @property
     def references(self) -> list[Configuration]:
-        """The configuration each solver is judged by; its first where nothing was judged."""
+        """Configuration each solver is judged by; its first where nothing was judged."""
         judged = [verdict.configuration for verdict in self.verdicts.references]
-        of_solver: dict[str, Configuration] = {}
-        for configuration in self.configurations:
-            of_solver.setdefault(configuration.solver, configuration)
-        return judged or list(of_solver.values())
+        first = firsts(self.configurations, lambda configuration: configuration.solver)
+        return judged or list(first.values())
 
     @property
     def levels(self) -> list[str]:
-        """The settings levels that were run outside studies, the most usual first."""
+        """Settings levels that were run outside studies, the most usual first."""
         run = [self.configurations[c] for c, p in self.runs if not self.experiments[p].study]
         return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
 
     @property
     def judged_experiments(self) -> list[int]:
-        """The numbers of the experiments that enter verdicts: all but the seas of studies."""
+        """Numbers of the experiments that enter verdicts: all but studies."""
         return [p for p, experiment in enumerate(self.experiments) if not experiment.study]
 
     @cached_property
     def first_runs(self) -> dict[int, RunRecord]:
-        """The first run of each experiment."""
+        """First run of each experiment."""
         keys = firsts(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
     def scenario(self, run: RunRecord) -> Scenario | None:
-        """The scenario of a run, in a study that of its sea; None where its row carries none."""
+        """Return the scenario of a run, in a study of its sea; None without one."""
         if not run.study:
             return self.records.scenario(run.scenario)
         experiment = Experiment.of(run)
@@ -178,13 +171,12 @@ class RunMatrix:
         return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
     def timed_at(self, verdict: Verdict) -> int | None:
-        """The number of the replay behind the p99 of a verdict; None where nothing was timed."""
+        """Return the number of the replay behind the p99 of a verdict; None without one."""
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
     def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
-        """The run with its largest single timing, of everything judged that it ran: loops and
-        replays alike; None where none left one."""
+        """Return the judged run with the largest single timing; None without one."""
         judged = self._judged_runs(configuration)
         timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
@@ -194,7 +186,7 @@ class RunMatrix:
         return speed_margins(self.records, self.requirements).get(configuration)
 
     def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
-        """How many steps of its judged runs had no solution, and whether it said so of all."""
+        """Return the steps of its judged runs without a solution, and whether it claimed all."""
         judged = self._judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
@@ -208,7 +200,7 @@ class RunMatrix:
         return [one for one in known if one[0].units == "scaled" and not one[0].study]
 
     def index(self, configuration: Configuration) -> int:
-        """The number of a configuration; −1 for one that was not run."""
+        """Return the number of a configuration; −1 for one that was not run."""
         known = self.configurations
         return known.index(configuration) if configuration in known else -1
 

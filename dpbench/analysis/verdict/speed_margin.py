@@ -1,10 +1,9 @@
-"""How much slower a computer may be, from steps that were timed several times.
+"""Speed margins: how much slower a computer may be, from steps timed several times.
 
-Two limits bound it: the deadline, which the hardest step must keep, and the limit of the p99. Both
-times are algorithmic: the fastest round of a step is the work of the solver, which grows with the
-slowness of a computer, while an interrupt does not. The hardest step is searched for in all
-replays, of which windows hold the hardest steps of each scenario. Stalls are stated apart, as they
-were measured.
+Two limits bound it: the deadline, for the hardest step, and the limit of the p99. Both times are
+algorithmic: the fastest round of a step is the work of the solver, which grows with the slowness
+of a computer, while an interrupt does not. The hardest step is of all replays, of which windows
+hold the hardest steps of each scenario. Stalls are stated apart, as they were measured.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns
@@ -27,11 +25,11 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class SlowStep:
-    """A step that bounds the speed of a computer.
+    """Step that bounds the speed of a computer.
 
     Parameters
     ----------
-    time_ns : its algorithmic time; run : the replay it is in; k : the sample of the scenario.
+    time_ns : its algorithmic time; k : the sample of the scenario.
     iterations : the solver's own count, NaN without one; n_active : active limits at the optimum.
     """
 
@@ -44,7 +42,7 @@ class SlowStep:
 
 @dataclass(frozen=True)
 class SpeedMargin:
-    """How much slower than the one measured a computer may be for one configuration.
+    """Speed margin of one configuration.
 
     Parameters
     ----------
@@ -62,7 +60,7 @@ class SpeedMargin:
 
     @property
     def factor(self) -> float:
-        """The speed margin: up to this factor the times stay within both limits."""
+        """Factor up to which the times stay within both limits."""
         return min(self.deadline, self.p99_limit)
 
 
@@ -96,26 +94,22 @@ def _bounding_steps(
     """Return the hardest step of each run, and the step at its p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
-        run, time_ns = runs[run_id], steps.time_ns
-        p99 = p99_ns(run, time_ns)
-        largest = float(np.nanmax(time_ns))
-        found[run_id] = (
-            _slow_step(run, steps, largest),
-            _slow_step(run, steps, largest if math.isnan(p99) else p99),
-        )
+        run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
+        p99 = p99_ns(run, steps.time_ns)
+        times_ns = largest, largest if math.isnan(p99) else p99
+        found[run_id] = _slow_step(run, steps, times_ns[0]), _slow_step(run, steps, times_ns[1])
     return found
 
 
 def _slow_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
-    """Return the step whose time is nearest to `time_ns`, with that time: a p99 lies between two
-    steps."""
+    """Return the step nearest to `time_ns`, with that time: a p99 lies between two steps."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
 def largest_stall_ns(records: Records) -> float:
-    """Return the longest that a calibration configuration exceeded its step [ns]; NaN without."""
+    """Return the longest that a calibration run exceeded its step [ns]; NaN without."""
     arms = [run for run in records.calibration if run.mode == "replay"]
     delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]

@@ -1,4 +1,4 @@
-"""Solvers of controllers that steer thrusters, beside those of three forces in the same suite."""
+"""Solvers of controllers that command thrusters, beside those of three forces."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Literal
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
@@ -19,7 +18,7 @@ Fault = Literal["too late", "wrong", "too late or wrong"]
 
 @dataclass(frozen=True)
 class Steering:
-    """Who passes with thrusters, and with three forces where the suite has both.
+    """Verdicts with thrusters, and with three forces where the suite has both.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ class Steering:
 
     @property
     def only_with_forces(self) -> list[str]:
-        """Those of them that fail, or are late, with thrusters."""
+        """Those of `fine_with_forces` that fail, or are late, with thrusters."""
         return [s for s in self.fine_with_forces if self.with_thrusters[s] in MISSED]
 
     @property
@@ -63,28 +62,30 @@ class Steering:
 
 
 def is_about_thrusters(records: Records) -> bool:
-    """Whether thrusters are steered in more than half of the scenarios run in closed loop."""
+    """Return whether most scenarios run in closed loop command thrusters."""
     loops = {run.scenario: run.steers_thrusters for run in records.select(mode="closed_loop")}
     return 2 * sum(loops.values()) > len(loops)
 
 
 def steering_of(records: Records, requirements: Requirements) -> Steering:
-    """Who passes with what is commanded."""
+    """Return the verdicts by what is commanded."""
     of_thrusters = [run for run in records.runs if run.steers_thrusters]
     of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
     verdicts = verdicts_of(records, requirements, of_thrusters)
     return Steering(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _states(verdicts_of(records, requirements, of_forces)),
-        _states(verdicts),
-        {s: _fault(own) for s, own in verdicts.of.items() if _state(own) in MISSED},
+        _best_states(verdicts_of(records, requirements, of_forces)),
+        _best_states(verdicts),
+        {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
     )
 
 
 @dataclass(frozen=True)
 class ThrusterControlLoops:
-    """The loops that steer thrusters: of each configuration by its name, and `best` of each
-    scenario: of those right to the end that ran farthest, the nearest to the exact loop."""
+    """Loops that command thrusters, by configuration, and the `best` of each scenario.
+
+    The best is right to the end, ran farthest and is nearest to the exact loop.
+    """
 
     best: dict[str, RunRecord]
     configurations: dict[str, list[RunRecord]]
@@ -92,30 +93,24 @@ class ThrusterControlLoops:
 
 def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
     """Select runs that command thrusters, in scenarios where a run is right throughout."""
-    runs = [
-        run
-        for run in records.select(mode="closed_loop")
-        if isfinite(run.power_share) and not run.is_baseline_law and not run.slowdown > 0.0
-    ]
-    right = sorted(
-        (run for run in runs if is_right_to_the_end(run, requirements)),
-        key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m),
-    )
+    loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
+    runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
+    right = [run for run in runs if is_right_to_the_end(run, requirements)]
+    right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
     best = firsts(right, lambda run: run.scenario)
-    known = [run for run in runs if run.scenario in best]
-    return ThrusterControlLoops(
-        best, grouped(known, lambda run: run.configuration.in_common_formulation.label)
-    )
+    known = (run for run in runs if run.scenario in best)
+    configurations = grouped(known, lambda run: run.configuration.in_common_formulation.label)
+    return ThrusterControlLoops(best, configurations)
 
 
 def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
-    """The largest ratio of a metric to that of the best loop, over the scenarios; NaN of none."""
+    """Return the largest ratio of a metric to that of the best loop; NaN of none."""
     beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
     return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
 def lost_late(run: RunRecord) -> list[str]:
-    """Thrusters and groups that a closed loop loses, all in the second half of what was run."""
+    """Return thrusters and groups that a loop loses, all in the second half of its run."""
     scenario = (run.scenario_files or {}).get("scenario", {})
     faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
     if not faults:
@@ -126,18 +121,18 @@ def lost_late(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _states(verdicts: Verdicts) -> dict[str, State]:
-    states = {solver: _state(own) for solver, own in verdicts.of.items()}
+def _best_states(verdicts: Verdicts) -> dict[str, State]:
+    states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}
 
 
-def _state(own: Sequence[Verdict]) -> State:
-    """The best verdict on some configurations."""
+def _best_state(own: Sequence[Verdict]) -> State:
+    """Return the best verdict on some configurations."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 
-def _fault(own: Sequence[Verdict]) -> Fault:
-    """What contradicts the requirements in every configuration that was run."""
+def _common_fault(own: Sequence[Verdict]) -> Fault:
+    """Return what contradicts the requirements in every configuration that was run."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds & {*LATE} for kinds in causes):
         return "too late"

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of
+from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 
@@ -28,24 +27,13 @@ HIDDEN = 1.1
 that solves in a thread of its own stays below 1."""
 
 
-@dataclass(frozen=True, eq=False)
-class TimeEvidence:
-    """What a result folder shows of its times as a whole.
-
-    Parameters
-    ----------
-    late : proven and doubtful late timings by run id; uncertainty : of the times.
-    """
-
-    late: Mapping[str, Sequence[LateTimings]]
-    uncertainty: Uncertainty
-
-
 @lru_cache(maxsize=2)
-def time_evidence(records: Records, requirements: Requirements) -> TimeEvidence:
-    """Return the evidence on the times of a result folder."""
-    uncertainty = uncertainty_of(records)
-    return TimeEvidence(find_late_timings(records, requirements, uncertainty), uncertainty)
+def time_evidence(
+    records: Records, requirements: Requirements
+) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
+    """Return the late timings by run id, proven and doubtful, and the uncertainty of the times."""
+    uncertainty = estimate_uncertainty(records)
+    return find_late_timings(records, requirements, uncertainty), uncertainty
 
 
 def find_slow_loops(
@@ -56,11 +44,8 @@ def find_slow_loops(
     The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
     limit by more than its uncertainty, and borderline within that.
     """
-    kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {
-        "slow loop": [],
-        "short slow loop": [],
-        "loop borderline": [],
-    }
+    order: tuple[Cause | Doubt | Near, ...] = ("slow loop", "short slow loop", "loop borderline")
+    kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {kind: [] for kind in order}
     for run in runs:
         if run.mode != "closed_loop" or run.slowdown > 0.0:
             continue
@@ -71,8 +56,11 @@ def find_slow_loops(
             kinds["slow loop"].append(run)
         elif ratio >= 1.0 / factor:
             kinds["loop borderline"].append(run)
-    found = (worst_first(kind, of_kind, _median_ns) for kind, of_kind in kinds.items())
-    return [finding for findings in found for finding in findings]
+    return [
+        finding
+        for kind, of_kind in kinds.items()
+        for finding in worst_first(kind, of_kind, lambda run: run.raw_p50_ns)
+    ]
 
 
 def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
@@ -84,10 +72,6 @@ def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
     long = (run for run in runs if not run.window_of)
     hidden = [run for run in long if run.thread_s > HIDDEN * run.solve_s]
     return worst_first("hidden work", hidden, lambda run: run.thread_s / run.solve_s)
-
-
-def _median_ns(run: RunRecord) -> float:
-    return run.raw_p50_ns
 
 
 _DOUBTFUL: Mapping[str, Doubt] = {
@@ -104,7 +88,7 @@ def report_late_timings(
     """Return findings on the single timings of runs, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
     by_kind: dict[Cause | Doubt, list[LateTimings]] = grouped(
-        found, lambda one: one.kind if one.proven else _DOUBTFUL[one.kind]
+        found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
     )
     findings = []
     for kind, of_kind in by_kind.items():
@@ -120,7 +104,7 @@ def judge_times(
     requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Return what the algorithmic times of replays show, and the figures of the verdict."""
+    """Return the findings on the algorithmic times of replays, and figures of the verdict."""
     findings: list[Finding] = []
     figures: list[_Figures] = []
     for run in replays:
@@ -132,7 +116,7 @@ def judge_times(
         times = records.times(run)
         if times is not None:
             figures.append(_Figures.of(run, times))
-            findings += _held_against(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
+            findings += _check_limits(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
     if not figures:
@@ -186,10 +170,10 @@ class _Figures:
         return cls(run, float(np.median(algo)), p95, p99, float(algo.max()), times.raw_max_ns, ends)
 
 
-def _held_against(
+def _check_limits(
     figures: _Figures, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Hold the times of one replay against the limits, within a factor of uncertainty."""
+    """Compare the times of one replay with the limits, within a factor of uncertainty."""
     run, findings = (figures.run,), list[Finding]()
     if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))

@@ -15,7 +15,7 @@ from dpbench.bench.record.configuration import Configuration
 QUANTILE = 0.95
 """Share of the configurations whose rounds differ by less than the usual factor."""
 LEAST = 1.05
-"""Smallest uncertainty that is believed, however even the rounds are."""
+"""Smallest uncertainty, however even the rounds are."""
 UNKNOWN = 1.5
 """Uncertainty without any replay of two rounds: machines of one kind differ by as much."""
 
@@ -26,8 +26,8 @@ class Uncertainty:
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
-    is timed once, at a moment that may be like a slow round: the upper quartile of them, as one
-    round may have been robbed by other work.
+    is timed once, maybe in a slow round: the upper quartile of them, as other work may have
+    disturbed one round.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Uncertainty:
         return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
 
 
-def uncertainty_of(records: Records) -> Uncertainty:
+def estimate_uncertainty(records: Records) -> Uncertainty:
     """Return the uncertainty of the times of a result folder."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):

@@ -18,27 +18,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
     LATE,
     NEAR,
     OWN_DOING,
-    Doubt,
     Finding,
     State,
     worst_first,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.time_findings import (
-    find_hidden_work,
-    find_slow_loops,
-    judge_times,
-    report_late_timings,
-    time_evidence,
-)
 from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
@@ -46,24 +38,21 @@ from dpbench.solvers.record import POLICIES
 
 @dataclass(frozen=True)
 class Verdict:
-    """The assessment of one configuration.
+    """Verdict on one configuration.
 
     Parameters
     ----------
-    causes : why it fails; doubts : what could not be judged.
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
     loops, replays, windows : how many of its runs were judged.
-    steps : the steps with a judged answer.
-    error_move : the largest error of the first move among them.
+    steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : largest p99 of the algorithmic step time, of the replay `p99_run`; a window has the p99
         of the stretch whose hardest steps it holds.
     p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
         the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
-    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings,
-        with what the machine adds.
+    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
@@ -93,25 +82,20 @@ class Verdict:
 
     @property
     def p99_on(self) -> str:
-        """The sequence of `p99_ns`; "" where nothing was timed."""
+        """Sequence of `p99_ns`; "" where nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
     def ranks(self) -> bool:
-        """Whether nothing is said against it, and it is timed: of what the suite never runs,
-        such as closed loops, nobody has to show any."""
+        """True if it is timed and nothing is against it; a kind of run the suite lacks is not."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Why it is inconclusive or borderline: what could not be judged, times near a limit, where
-        it was not run, which kind of run."""
-        kinds: tuple[tuple[int, Doubt], ...] = (
-            (self.loops, "no closed loop"),
-            (self.replays + self.windows, "no replay"),
-        )
-        absent = tuple(Finding(kind) for count, kind in kinds if not count)
-        return (*self.doubts, *self.near, *self.gaps, *absent)
+        """Doubts, times near a limit, gaps and missing kinds of run: why it does not pass."""
+        no_loop = () if self.loops else (Finding("no closed loop"),)
+        no_replay = () if self.replays or self.windows else (Finding("no replay"),)
+        return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +119,7 @@ class Verdicts:
 def verdicts_of(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """The verdicts on all configurations of all solvers, in the order of the suite.
+    """Return the verdicts on all configurations of all solvers, in the order of the suite.
 
     Parameters
     ----------
@@ -146,8 +130,8 @@ def verdicts_of(
     verdicts: dict[str, list[Verdict]] = {}
     for solver, of_solver in grouped(judged, lambda run: run.solver).items():
         by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
-        longest = {it: _longest(runs) for it, runs in by_configuration.items()}
-        ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
+        longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
+        ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
             verdict_of(records, configuration, runs, asked, requirements)
@@ -156,15 +140,14 @@ def verdicts_of(
     return Verdicts(requirements, verdicts)
 
 
-def _longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Return the longest run of each scenario and replay."""
     alike = grouped(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
-def _reference_first(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
-    """Sort key: a solver's reference is its most usual configuration that ran at all, closed loops
-    and replays both if there is such a one."""
+def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
+    """Sort key of a solver's reference: usual settings that ran, both modes, own route."""
     ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
     default = any(run.default_route for run in runs)
@@ -193,16 +176,17 @@ def verdict_of(
     if not ran:
         return Verdict(configuration, "not run", refusal=detail(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    evidence = time_evidence(records, requirements)
-    times, figures = judge_times(records, replays, requirements, evidence.uncertainty)
-    times += find_slow_loops(ran, requirements, evidence.uncertainty)
-    times += report_late_timings(ran, evidence.late) + find_hidden_work(ran)
-    late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_wrong(ran, requirements), *_failing(ran, requirements), *_own_doing(ran), *late]
-    doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)
+    late_timings, uncertainty = time_findings.time_evidence(records, requirements)
+    times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
+    times += time_findings.find_slow_loops(ran, requirements, uncertainty)
+    times += time_findings.report_late_timings(ran, late_timings)
+    times += time_findings.find_hidden_work(ran)
+    late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
+    causes = [*_find_wrong(ran, requirements), *_find_ended(ran), *late]
+    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
-        _state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
         tuple(near),
@@ -210,18 +194,14 @@ def verdict_of(
         loops=len(ran) - len(replays),
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
-        steps=sum(_evaluated_steps(run) for run in ran),
+        steps=sum(_count_judged_steps(run) for run in ran),
         error_move=largest([run.error_move_max for run in ran]),
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **figures,
     )
 
 
-def _of_kinds(findings: Sequence[Finding], kinds: Sequence[str]) -> list[Finding]:
-    return [finding for finding in findings if finding.kind in kinds]
-
-
-def _state(
+def _overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
 ) -> State:
     """Return the state of findings, and of how many modes, loop and replay, were run."""
@@ -233,23 +213,23 @@ def _state(
 
 
 def detail(run: RunRecord) -> str:
-    """The cause of a run's outcome, in the library's or the harness's words."""
+    """Return the cause of a run's outcome, in the library's or the harness's words."""
     return run.cause or "no reason was recorded"
 
 
 def _count(count: float) -> int:
-    """A count; a missing one is 0."""
+    """Return a count; a missing one is 0."""
     return int(count) if math.isfinite(count) else 0
 
 
-def _evaluated_steps(run: RunRecord) -> int:
-    """Steps with a judged answer; a replay counts those without in each of its rounds."""
+def _count_judged_steps(run: RunRecord) -> int:
+    """Return the steps with a judged answer; a replay counts those without per round."""
     without = _count(run.uncertified) + _count(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count(run.rounds)))
 
 
-def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Where the reference was run and these runs were not, or not as far."""
+def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
+    """Find where the reference was run and these runs were not, or not as far."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
@@ -264,28 +244,28 @@ def _gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
-    """Answers too far from the optimum, and steps without one."""
+def _find_wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    """Find answers too far from the optimum, steps without one, and failed steps."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
-    return [*no_answer, *worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
-
-
-def _failing(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
-    return worst_first("failed", failing, lambda run: run.failed_steps)
+    return [
+        *no_answer,
+        *worst_first("inaccurate", wrong, lambda run: run.error_move_max),
+        *worst_first("failed", failing, lambda run: run.failed_steps),
+    ]
 
 
-def _own_doing(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that the solver ended, or never came back from."""
+def _find_ended(runs: Sequence[RunRecord]) -> list[Finding]:
+    """Find runs that the solver ended, or never came back from."""
     ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
     return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
 
 
-def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that ended early or could not be judged."""
+def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
+    """Find runs that ended early or could not be judged."""
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned

@@ -20,8 +20,8 @@ from dpbench.analysis.compare.releases import (
     histories,
     release_table,
 )
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import grouped
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import largest
 from dpbench.bench.record.result_folder import load_results

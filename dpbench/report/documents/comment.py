@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from dpbench.analysis.records.run_steps import Measure
 from dpbench.analysis.records.worst_steps import WorstStep, value_at, worst_steps
-from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.errors import UnknownNameError, one_of

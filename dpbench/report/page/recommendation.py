@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
+from dpbench.analysis.times.contrasts import faster_but_open, paired_comparison
 from dpbench.analysis.times.machine import shortest_wait_ns
-from dpbench.analysis.times.pairs import faster_but_open, paired_comparison
 from dpbench.analysis.verdict.fastest import SolverChoice, choose_solver, fastest_of, known_record
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict

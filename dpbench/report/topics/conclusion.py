@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import grouped
 from dpbench.analysis.suites.consequence import (
     HELD,
     Analysis,

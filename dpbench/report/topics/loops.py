@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.report.formats import MISSING, and_list, count_text, plural, significant
 from dpbench.report.page.section import Topic

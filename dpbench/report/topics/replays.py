@@ -6,17 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.contrasts import (
     common_replays,
     fastest_forms,
+    paired,
     right_levels,
     route_gains,
 )
-from dpbench.analysis.times.pairs import paired
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.judge.rules import median, percentile
 from dpbench.bench.record.configuration import settings_level

@@ -1,7 +1,5 @@
 """What solvers said of a batch: right, wrong or nothing, and who comes first."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any
@@ -64,7 +62,6 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
 
 
 def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
-    """Of four QPs it saw one."""
     (answer,) = asked(results_of(records, {"osqp": [TRUE]}))
     assert (answer.asked, answer.feasible, answer.infeasible, answer.balanced) == (4, 1, 0, 1)
 

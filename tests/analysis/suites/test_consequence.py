@@ -1,7 +1,5 @@
 """Consequence analysis: answers counted by hand, times of a batch, and what the topic says."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -138,7 +136,6 @@ def test_the_topic_says_when_a_loss_can_be_held(
 
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
-    """The fastest that is right, the count of missed alarms, a figure before the table."""
     topic = consequence_topic(storm)
     assert topic is not None
     assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
@@ -159,9 +156,3 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
     assert [run.sequence for run in records.view().runs] == ["paper"]
     assert {run.lost_group for run in records.view().runs} == {""}
     assert UNKNOWN not in set(consequence_analyses(storm)[0].spans["state"])
-
-
-def test_no_analysis_no_topic(records: Any) -> None:
-    """A campaign of replays alone."""
-    records.replay("daqp")
-    assert consequence_topic(records.view()) is None

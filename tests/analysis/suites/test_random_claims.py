@@ -1,7 +1,5 @@
 """Random problems: what counts as what, and that nothing else counts them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from typing import Any
@@ -40,7 +38,6 @@ def records_of(records: Any, *steps: dict[str, Any], **columns: Any) -> Records:
 
 
 def test_each_step_counts_as_what_it_is(records: Any) -> None:
-    """Every combination of claim, truth and certificate has one column, told apart by rows."""
     true = {"true": True, "true_1e4": True, "true_1e6": True}
     view = records_of(
         records,
@@ -70,7 +67,6 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
 
 
 def test_settings_without_effect_are_counted_once(records: Any) -> None:
-    """One run shown under two names is one configuration with one count, and two runs are two."""
     lie: dict[str, Any] = {"claimed": True, "true": False, "error_plan": 0.5}
     for policy, times in (("fresh", (7.0, 7.0)), ("warm", (7.0, 8.0))):
         for settings, raw_max_ns in zip(("default", "high"), times, strict=True):
@@ -89,7 +85,6 @@ def test_settings_without_effect_are_counted_once(records: Any) -> None:
 
 
 def test_random_problems_change_nothing_that_is_said_about_the_ship(records: Any) -> None:
-    """Verdicts and runs are the same with a random configuration that lies on another route."""
     records.loop("daqp", route="native")
     records.replay("daqp", route="native", steps=60)
     before, lines = records.view(), records.ending()
@@ -103,7 +98,6 @@ def test_random_problems_change_nothing_that_is_said_about_the_ship(records: Any
 
 
 def test_the_topic_puts_who_lies_first(records: Any) -> None:
-    """A row a solver whose counts are those of the tally, the one with most false claims on top."""
     true = {"true": True, "true_1e4": True, "true_1e6": True}
     lie = {"true": False, "error_plan": 0.5}
     steps = {"daqp": [true, true], "scs": [lie, true], "osqp": [lie, lie]}
@@ -136,9 +130,3 @@ def test_what_never_ran_is_counted_as_never_reached(records: Any) -> None:
     assert topic is not None
     (row,) = topic.tables[0].rows
     assert (row[0], row[1], row[-1]) == ("daqp", "0", "24")
-
-
-def test_without_random_problems_there_is_no_topic(records: Any) -> None:
-    """A suite of the ship alone."""
-    records.loop("daqp")
-    assert random_topic(records.view()) is None

@@ -1,7 +1,5 @@
 """Statistics of studies against textbook tests, simulation and counts by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, cast
@@ -13,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.statistics import holm
+from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.suites.study import NOTHING, Study, mean_over_points, paired_difference
 
 COLUMNS = ["point", "replicate"]
@@ -211,7 +209,7 @@ def test_claims_hold_together_over_all_configurations() -> None:
         for run in runs:
             run.r_95_m = 1.0 + 0.01 * rng.normal()
         others = _study(runs).configurations[1:]
-        adjusted = holm(np.array([c.p_unadjusted[0] for c in others]))
+        adjusted = adjust_holm(np.array([c.p_unadjusted[0] for c in others]))
         assert [c.p_differs for c in others] == pytest.approx(adjusted.tolist())
         wrong += any(c.differs for c in others)
     assert wrong <= 6
@@ -260,15 +258,3 @@ def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:
         run.solver = "somebodys_own"
     assert [c.tolerance for c in _study(runs).configurations] == [None, None]
     assert _study(runs).loosest == {}
-
-
-def test_the_map_of_what_is_held() -> None:
-    """At each point the share of seas whose radial error stays within the radius, by hand."""
-    runs = _runs({"a": 0.0}, points=3, seas=8)
-    study = _study(runs, radius_m=1.1)
-    table = study.held_map("a")
-    for point in range(3):
-        own = [run.r_tail_max_m <= 1.1 for run in runs if run.study_point == point]
-        assert table.loc[point, "held"] == pytest.approx(sum(own) / 8)
-        assert table.loc[point, "hs"] == float(point)
-    assert study.replicates == 8

@@ -1,7 +1,5 @@
 """Claims of studies worked by hand: costs, references, claims of a configuration, tables."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

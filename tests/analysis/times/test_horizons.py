@@ -1,7 +1,5 @@
 """Horizon sweeps: growth on known power laws, and when a topic is."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -126,8 +124,7 @@ def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps
 
 
 def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
-    """p99 of 3 ms: 4.8 ms at 200/40 misses it; who was not run beyond 60/10 may fit more; 999
-    steps do not support a p99; nobody fits who is slower at 30/5."""
+    """A p99 of 4.8 ms at 200/40 misses 3 ms; 999 steps support none."""
     _law(records, "daqp", 40.0, 1.0)
     for pair in PAIRS[:2]:
         _replay(records, "piqp", pair, median_us=30.0 * pair[1], spread=0.0, rounds=1)
@@ -170,7 +167,6 @@ def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
 
 
 def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
-    """A configuration that did not do every step at a horizon is fitted without it."""
     for pair in PAIRS[:3]:
         _replay(records, "highs", pair, median_us=float(pair[1]) ** 2, spread=0.0, rounds=1)
     _replay(records, "highs", PAIRS[3], steps=400, rounds=1, stopped=True)
@@ -183,7 +179,6 @@ def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
 
 
 def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -> None:
-    """One horizon, two windows of it, or another scenario make no sweep."""
     records.replay("daqp", "paper", steps=40)
     assert sweeps(records.view(), REQUIREMENTS) == []
     _replay(records, "daqp", (60, 10), steps=40)

@@ -45,7 +45,6 @@ def test_each_step_down_is_a_ratio_to_the_way_above(records: Any) -> None:
 
 
 def test_warm_is_compared_with_fresh_where_there_is_no_reuse(records: Any) -> None:
-    """A missing neighbour is skipped, and the comparison says which one it was."""
     _routes(records, "scs", 40.0, 20.0, None, 10.0)
     records.refused("scs", "it keeps nothing", "replay", route="native", policy="reuse")
     gains = _gains(records)
@@ -80,7 +79,6 @@ def test_gain_of_a_warm_start_through_the_wrapper(records: Any) -> None:
 
 
 def test_settings_are_compared_level_by_level(records: Any) -> None:
-    """Each settings level has its own comparison, and none is beside another level."""
     for settings, median_us in (("default", 10.0), ("high", 30.0)):
         for route, policy in (WRAPPED, NATIVE):
             records.replay(
@@ -95,7 +93,6 @@ def test_settings_are_compared_level_by_level(records: Any) -> None:
 
 
 def test_records_without_native_configurations_have_nothing_to_compare(records: Any) -> None:
-    """A folder of the wrapper alone."""
     records.replay("daqp", steps=100)
     records.replay("daqp", steps=100, policy="warm")
     assert route_gains(records.view(), "paper") == []

@@ -1,7 +1,5 @@
 """Late timings beyond what the machine explains, against planted delays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,13 +7,13 @@ import pandas as pd
 import pytest
 from scipy.stats import binom, poisson
 
-from dpbench.analysis.records.step_times import delays_by_run, delays_of
+from dpbench.analysis.records.step_times import delays_by_run, find_delays
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,
     LateTimings,
     Machine,
-    adjust,
+    adjust_p_values,
     estimate_machine,
 )
 from dpbench.analysis.verdict.requirements import Requirements
@@ -137,7 +135,7 @@ def test_delays_of_two_rounds_by_hand() -> None:
     """Steps of 10, 20 and 30 ns; the second round has one at 45 of 20 ns."""
     repeat, k = np.array([1, 1, 1, 2, 2, 2]), np.array([0, 1, 2, 0, 1, 2])
     times = np.array([10.0, 20.0, 30.0, 20.0, 45.0, 31.0])
-    delays = delays_of(repeat, k, times, np.full(6, np.nan))
+    delays = find_delays(repeat, k, times, np.full(6, np.nan))
     assert delays.base_ns.tolist() == [60.0, 60.0]
     assert delays.delay_ns.tolist() == [45.0] and delays.own_ns.tolist() == [20.0]
     assert delays.count_late(44.0).tolist() == [0, 1]
@@ -149,7 +147,7 @@ def test_delays_of_two_rounds_by_hand() -> None:
 def test_delays_of_a_loop_are_its_timings_above_the_median() -> None:
     """One round has no fastest time of a step; a step without a computation has none at all."""
     times = np.array([1.0, 2.0, 3.0, 9.0, np.nan])
-    delays = delays_of(np.zeros(5, np.int64), np.arange(5), times, np.full(5, np.nan))
+    delays = find_delays(np.zeros(5, np.int64), np.arange(5), times, np.full(5, np.nan))
     assert (delays.step_ns, delays.samples.tolist()) == (2.5, [4])
     assert delays.delay_ns.tolist() == [3.0, 9.0]
 
@@ -217,10 +215,10 @@ def test_delays_know_waits_where_all_are_recorded() -> None:
         }
     )
     delays = dict(delays_by_run(steps))
-    assert [one.knows_waits for one in delays.values()] == [True, False]
+    assert [one.has_waits for one in delays.values()] == [True, False]
     assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
     assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
-    assert delays["a"].gross().net_ns.tolist() == [50.0]
+    assert delays["a"].without_waits.net_ns.tolist() == [50.0]
     assert delays["a"].base_ns.tolist() == [30.0, 30.0]
 
 
@@ -238,17 +236,17 @@ def test_a_delay_is_late_if_a_tenth_of_the_limit_is_its_own(
 ) -> None:
     """A step of 10 ns that took 101 ns, beyond a limit of 100 ns, and half of it."""
     repeat, k = np.array([1, 2]), np.array([0, 0])
-    delays = delays_of(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
+    delays = find_delays(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
     assert delays.count_late(100.0).tolist() == [0, late]
     assert delays.count_late(101.0).tolist() == [0, 0]
     assert delays.count_stalls(50.0).tolist() == [0, stalls]
-    assert delays.gross().count_late(100.0).tolist() == [0, 1]
+    assert delays.without_waits.count_late(100.0).tolist() == [0, 1]
 
 
 def test_a_hard_step_is_late_by_itself() -> None:
     """In a loop whose median is near the limit, a step little beyond it is late all the same."""
     times = np.array([99.0, 99.0, 99.0, 102.0])
-    delays = delays_of(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
+    delays = find_delays(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
     assert delays.count_late(100.0).tolist() == [1]
     assert delays.count_late(101.0).tolist() == [0]
 
@@ -280,7 +278,7 @@ def test_p_values_are_adjusted_together(records: Any) -> None:
     records.replay("daqp")
     (run,) = records.view().runs
     tests = [LateTimings("late timings", run, 1, 10, 0.0, p) for p in (0.02, 3e-4, 0.9)]
-    first, second, _ = adjusted = adjust(tests)
+    first, second, _ = adjusted = adjust_p_values(tests)
     assert [test.p for test in adjusted] == pytest.approx([0.04, 9e-4, 0.9])
     assert second.p <= PROVEN < first.p <= DOUBTFUL
-    assert second.proven and not first.proven
+    assert second.is_proven and not first.is_proven

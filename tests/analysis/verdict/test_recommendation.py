@@ -1,7 +1,5 @@
 """Ranking and recommendation of verdicts made by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -15,8 +13,8 @@ from dpbench.analysis.verdict.fastest import (
     fastest_first,
     fastest_of,
     known_record,
-    qualifying,
-    ranked_qualifying,
+    rank_configurations,
+    rank_solvers,
 )
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
@@ -56,7 +54,6 @@ def _names(verdicts: list[Verdict]) -> list[str]:
 
 
 def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
-    """Verdicts without a time are last, in the order of their names."""
     verdicts = [
         _verdict("e"),
         _verdict("d"),
@@ -71,7 +68,6 @@ def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
 
 
 def test_only_the_most_widely_timed_are_ranked() -> None:
-    """A finding, no time, or fewer replays than another rule a verdict out."""
     verdicts = _verdicts(
         _verdict("daqp", 30.0, replays=3),
         _verdict("piqp", 20.0, replays=3),
@@ -81,8 +77,8 @@ def test_only_the_most_widely_timed_are_ranked() -> None:
         _verdict("absent", 10.0, replays=3, gaps=(Finding("absent"),)),
         _verdict("untimed", 10.0, replays=3, timed_on=""),
     )
-    assert [v.configuration.solver for v in qualifying(verdicts)] == ["piqp", "daqp"]
-    assert qualifying(_verdicts()) == []
+    assert [v.configuration.solver for v in rank_configurations(verdicts)] == ["piqp", "daqp"]
+    assert rank_configurations(_verdicts()) == []
 
 
 @pytest.mark.parametrize(
@@ -105,20 +101,21 @@ def test_usual_settings_within_three_percent_are_chosen(
     assert found is not None and found.configuration.settings == settings
 
 
-@pytest.mark.parametrize("routes", [("native", "qpsolvers"), ("qpsolvers", "native")])
-def test_another_route_is_never_alike(routes: tuple[str, str]) -> None:
-    """Usual settings of another route do not replace the fastest ones."""
-    best = _verdict("daqp", 100.0, settings="high", route=routes[0])
-    usual = _verdict("daqp", 101.0, route=routes[1])
-    assert ranked_qualifying(_verdicts(usual, best)) == [best]
-
-
-@pytest.mark.parametrize("policies", [("reuse", "fresh"), ("fresh", "reuse")])
-def test_another_policy_is_never_alike(policies: tuple[str, str]) -> None:
-    """Usual settings of another policy do not replace the fastest ones."""
-    best = _verdict("daqp", 100.0, settings="high", policy=policies[0])
-    usual = _verdict("daqp", 101.0, policy=policies[1])
-    assert ranked_qualifying(_verdicts(usual, best)) == [best]
+@pytest.mark.parametrize(
+    ("fastest", "other"),
+    [
+        ({"route": "native"}, {"route": "qpsolvers"}),
+        ({"route": "qpsolvers"}, {"route": "native"}),
+        ({"policy": "reuse"}, {"policy": "fresh"}),
+        ({"policy": "fresh"}, {"policy": "reuse"}),
+    ],
+)
+def test_another_route_or_policy_is_never_alike(
+    fastest: dict[str, str], other: dict[str, str]
+) -> None:
+    best = _verdict("daqp", 100.0, settings="high", **fastest)
+    usual = _verdict("daqp", 101.0, **other)
+    assert rank_solvers(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize(
@@ -160,7 +157,6 @@ def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
 
 
 def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
-    """The fastest is still named, and an empty folder names nobody."""
     fast = _verdict(BENCHMARK_CODE, 10.0)
     found = choose_solver(_verdicts(fast))
     assert (found.chosen, found.runner_up, found.faster) == (None, None, fast)
@@ -181,7 +177,6 @@ def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
 def test_a_better_verdict_precedes_a_shorter_time(
     states: tuple[str, str, str], chosen: int
 ) -> None:
-    """Solvers that pass are compared first, then borderline ones, then all that are qualifying."""
     solvers = ("daqp", "piqp", "osqp")
     verdicts = [
         _verdict(solver, 10.0 * (i + 1), state=state)
@@ -194,12 +189,13 @@ def test_a_better_verdict_precedes_a_shorter_time(
 
 
 def test_a_solver_that_is_not_known_here() -> None:
-    """It has no record and no family, and cannot be deployed."""
     assert known_record("nobody") is None
     assert family_of("nobody") == "not stated"
     assert deployment_blocker("nobody") == "not in the table of this installation"
     assert known_record("daqp") is not None and family_of("daqp") == "active set"
-    assert deployment_blocker("daqp") == ""
+    assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
+    assert deployment_blocker("qtqp") == "written in Python"
+    assert deployment_blocker(BENCHMARK_CODE).startswith("own code of this benchmark")
 
 
 LATE, WRONG = (Finding("p99 late"),), (Finding("failed"),)

@@ -1,7 +1,5 @@
 """Solvers of controllers that command thrusters, compared with those that command forces."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace
@@ -43,7 +41,6 @@ def _with_forces(records: Any, solver: str, **columns: Any) -> None:
 
 
 def test_who_passes_with_thrusters_and_with_forces() -> None:
-    """Each list has the solvers of its outcomes, in their order."""
     steering = Steering(
         ("paper",),
         {"a": "pass", "b": "pass", "c": "fail", "d": "pass", "e": "inconclusive", "z": "pass"},
@@ -134,7 +131,6 @@ def _powered(records: Any, solver: str, scenario: str = "turn", **columns: Any) 
 def test_the_best_loop_is_right_ran_farthest_and_is_nearest_to_the_reference(
     records: Any,
 ) -> None:
-    """Accuracy is required, then length decides, then the deviation."""
     _powered(records, "wrong", steps=300, error=0.5, dev_position_max_m=0.0)
     _powered(records, "short", steps=60, dev_position_max_m=0.0)
     _powered(records, "far", dev_position_max_m=0.2)
@@ -152,7 +148,6 @@ def test_the_best_loop_is_right_ran_farthest_and_is_nearest_to_the_reference(
 
 
 def test_loops_are_grouped_by_configuration(records: Any) -> None:
-    """The scenarios of one configuration are one group, in the order of the runs."""
     for scenario in ("turn", "calm"):
         _powered(records, "daqp", scenario)
         _powered(records, "daqp", scenario, settings="high")
@@ -208,7 +203,6 @@ def test_losses_in_the_second_half(at_s: list[float], lost: list[str]) -> None:
 
 
 def test_all_that_one_fault_takes_is_lost() -> None:
-    """The names are in the order of the faults."""
     faults = [{"at_s": 80.0, "lost": ["group 1", 2]}, {"at_s": 70.0, "lost": ["stern"]}]
     files = {"scenario": {"sample_s": 0.5, "faults": faults}}
     assert lost_late(_run(scenario_files=files, steps_done=200)) == ["group 1", "2", "stern"]
@@ -216,5 +210,4 @@ def test_all_that_one_fault_takes_is_lost() -> None:
 
 @pytest.mark.parametrize("files", [None, {}, {"scenario": {"faults": None}}])
 def test_a_loop_without_faults_loses_nothing(files: dict[str, Any] | None) -> None:
-    """A row without a scenario, or a scenario without faults, has no loss."""
     assert lost_late(_run(scenario_files=files, steps_done=200)) == []

@@ -1,7 +1,5 @@
 """Findings on times at and beside the limits of the requirements."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace
@@ -63,7 +61,6 @@ def test_the_median_of_a_loop_beside_the_limit(
 
 
 def test_only_loops_of_the_measured_computer_are_slow(records: Any) -> None:
-    """Replays and loops on a slower computer give no finding and hide none that follows."""
     records.replay("daqp", raw_p50_ns=9e6)
     records.loop("daqp", slowdown=0.5, steps=200, raw_p50_ns=9e6)
     records.loop("piqp", slowdown=0.0, steps=200, raw_p50_ns=3e6)
@@ -229,7 +226,6 @@ def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> Non
 
 @pytest.mark.parametrize("outcome", ["timed_out", "crashed"])
 def test_replays_that_leave_no_times_leave_no_figures(records: Any, outcome: str) -> None:
-    """A run that did not reach its first step says nothing of the times."""
     records.replay("daqp", done=0, outcome=outcome)
     assert _judged(records) == ([], {})
 

@@ -1,7 +1,5 @@
 """The parts of a verdict: judged steps, reference, gaps, causes and doubts, worked by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -37,7 +35,6 @@ def _found(findings: tuple[Finding, ...]) -> list[tuple[str, list[str], float, i
 
 
 def test_a_configuration_that_was_not_run_has_no_figures(records: Any) -> None:
-    """Its counts are zero and its reason is the first one."""
     records.refused("daqp", "no model.")
     records.refused("daqp", "no wrapper", "replay")
     verdict = _only(records)
@@ -48,7 +45,6 @@ def test_a_configuration_that_was_not_run_has_no_figures(records: Any) -> None:
 
 
 def test_a_refusal_without_a_reason(records: Any) -> None:
-    """The text says that none was recorded."""
     records.refused("daqp", "")
     assert _only(records).refusal == "no reason was recorded"
 
@@ -101,7 +97,6 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
 def test_the_longest_run_in_a_experiment_is_judged(
     records: Any, first: int, second: int, error: float
 ) -> None:
-    """Of two equally long runs the first is judged."""
     records.loop("daqp", steps=first, error=1e-4)
     records.loop("daqp", steps=second, error=2e-4)
     verdict = _only(records)
@@ -137,7 +132,6 @@ def test_a_stopped_run_makes_a_reference(records: Any) -> None:
 def test_the_reference_has_the_default_route_and_the_first_policy(
     records: Any, columns: list[dict[str, Any]], expected: list[str]
 ) -> None:
-    """The default route precedes the policy."""
     for one in columns:
         records.loop("daqp", **one)
     own = [verdict.configuration for verdict in _all(records)]
@@ -145,7 +139,6 @@ def test_the_reference_has_the_default_route_and_the_first_policy(
 
 
 def test_the_reference_has_loops_and_replays(records: Any) -> None:
-    """Two kinds of runs precede the default route."""
     records.loop("daqp")
     records.loop("daqp", "calm")
     records.loop("daqp", route="native", policy="warm")
@@ -154,10 +147,7 @@ def test_the_reference_has_loops_and_replays(records: Any) -> None:
 
 
 def test_gaps_of_a_configuration(records: Any) -> None:
-    """Absent runs are one finding; refused and short ones follow, with the planned steps.
-
-    A run as long as that of the reference is no gap, nor is a longer one.
-    """
+    """Absent runs are one finding; refused and short ones follow, with the planned steps."""
     for scenario in ("paper", "calm", "rough", "turn", "move"):
         outcome = {"outcome": "timed_out", "done": 90} if scenario == "turn" else {}
         records.loop("daqp", scenario, **outcome)
@@ -176,7 +166,6 @@ def test_gaps_of_a_configuration(records: Any) -> None:
 
 
 def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
-    """Steps without an answer, errors, failed steps, crashes and hangs, each the worst first."""
     records.loop("daqp", error=0.02)
     records.loop("daqp", "calm", error=0.03, failed=1)
     records.loop("daqp", "rough", error=math.inf, failed=3)
@@ -195,7 +184,6 @@ def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
 
 
 def test_unfinished_runs_are_doubts(records: Any) -> None:
-    """A replay stopped after its last step is none, one stopped before is."""
     records.loop("daqp", outcome="crashed", done=0)
     records.loop("daqp", "calm", outcome="timed_out", done=40)
     records.loop("daqp", "rough", outcome="timed_out", done=120)
@@ -217,7 +205,6 @@ def test_unfinished_runs_are_doubts(records: Any) -> None:
 
 
 def test_kinds_of_runs_that_are_missing(records: Any) -> None:
-    """Without a loop, or without a replay, the verdict is open and names the kind."""
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
     (timed,), (steered,) = _all(records), _all(records, "scs")

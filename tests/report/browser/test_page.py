@@ -11,7 +11,7 @@ from urllib.parse import parse_qs
 import pandas as pd
 import pytest
 
-from dpbench.analysis.times.pairs import paired_comparison
+from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.bench.record.configuration import Configuration
 from dpbench.report.formats import rounded_down
 from dpbench.report.page.recommendation import call_text
