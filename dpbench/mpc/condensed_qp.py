@@ -162,12 +162,7 @@ class CondensedQP:
             self._ramp_down = LimitRampDown(problem.thrusters, *rates, N_c, factor=self._row_unit)
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
         """The QP of one step (eq. 20-24), in memory of its own.
 

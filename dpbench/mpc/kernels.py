@@ -39,8 +39,7 @@ import numpy as np
 
 from dpbench.kernel_cache import njit
 
-TILE = 32
-"""Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache."""
+TILE = 32  # Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache
 
 
 @njit(cache=True)

@@ -25,10 +25,8 @@ from dpbench.ship.layout import AXES
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
 """Δν, Δη and y = η in the state x of a ship's incremental model."""
 SHIP_STATES = 3 * AXES
-HEADING = SHIP_STATES - 1
-"""The measured heading in x."""
-HORIZONTAL = slice(0, 2)
-"""North and east among the outputs."""
+HEADING = SHIP_STATES - 1  # The measured heading in x
+HORIZONTAL = slice(0, 2)  # North and east among the outputs
 
 
 class ThetaLayout(NamedTuple):

@@ -28,16 +28,13 @@ from dpbench.mpc.model import HEADING
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep
 
-_POINTS = 5
-"""So many determine a trigonometric polynomial of degree 2."""
-_TURNS = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
-"""Where the polynomials are sampled."""
+_POINTS = 5  # So many determine a trigonometric polynomial of degree 2
+_TURNS = 2.0 * np.pi * np.arange(_POINTS) / _POINTS  # Where the polynomials are sampled
 _CHECKED_TURN = 1.0
 """A heading apart from all samples, where every polynomial must give what condensing gives."""
 _NOISE = 1e-13
 """Changes below it, relative to the largest entry of their column, are rounding of the samples."""
-_DEGREE_TWO = 1e-9
-"""What an array may differ by at the checked heading, relative likewise."""
+_DEGREE_TWO = 1e-9  # What an array may differ by at the checked heading, relative likewise
 
 Wave = TypeVar("Wave", float, Vector)
 
@@ -183,12 +180,7 @@ class RelinearisedQP(CondensedQP):
         self._series["Z"].write(turn, self.Z)
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
         """The QP of one step as `CondensedQP.emit`, with the matrices that came with its heading.
 

@@ -179,12 +179,7 @@ class StagedQP:
         return stages[:, -len(self._row_unit) :]
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
         """The QP of one step, in memory of its own; x, y_ref, u_prev, limits as `CondensedQP.emit`.
 

@@ -7,12 +7,9 @@ from dataclasses import dataclass, fields
 from dpbench.errors import InputError
 from dpbench.qp.program import in_blocks
 
-MARGIN = 0.25
-"""By how much the limits of an infeasible step contradict each other."""
-NEAR = 2.0**-26
-"""Distance to a limit that is missed by less than most tolerances."""
-LARGEST = (120, 300)
-"""Most variables and rows; with more, sums would be rounded."""
+MARGIN = 0.25  # By how much the limits of an infeasible step contradict each other
+NEAR = 2.0**-26  # Distance to a limit that is missed by less than most tolerances
+LARGEST = (120, 300)  # Most variables and rows; with more, sums would be rounded
 
 
 @dataclass(frozen=True)

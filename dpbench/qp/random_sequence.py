@@ -23,15 +23,12 @@ from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
 
-POINT = 2.0**-10
-"""Grid of z, of multipliers and of slacks."""
-ROW = 2.0**-16
-"""Grid of the entries of A."""
+POINT = 2.0**-10  # Grid of z, of multipliers and of slacks
+ROW = 2.0**-16  # Grid of the entries of A
 COST_BITS = 36
 """Bits of an entry of P below the largest eigenvalue: with |z| ≤ 2 on its grid and n ≤ 120 every
 partial sum of Pz stays below 2^53 units, and the smallest of 1e8 eigenvalues is kept to 1 %."""
-FACTOR = 2.0**-7
-"""Grid of the factor of a semidefinite P."""
+FACTOR = 2.0**-7  # Grid of the factor of a semidefinite P
 
 
 def on_grid(x: Vector, unit: float) -> Vector:

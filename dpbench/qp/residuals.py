@@ -131,8 +131,7 @@ def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vecto
     return multiplier[:m], multiplier[m:]
 
 
-TRUE_TOL = 1e-3
-"""The tolerance at which an answer is called true, where no other is named."""
+TRUE_TOL = 1e-3  # The tolerance at which an answer is called true, where no other is named
 PLAN_TOL_FACTOR = 10.0
 """The distance of a plan to the optimum may be so many times the tolerance of its residuals."""
 

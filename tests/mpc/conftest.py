@@ -104,12 +104,7 @@ def solve_by_quadprog(qp: QuadraticProgram) -> tuple[Array, Array, Array]:
 
 
 def ship_problem(
-    name: str,
-    *,
-    psi0_rad: float = 0.0,
-    N_p: int = 30,
-    N_c: int = 5,
-    robust: bool = False,
+    name: str, *, psi0_rad: float = 0.0, N_p: int = 30, N_c: int = 5, robust: bool = False
 ) -> ControlProblem:
     """A vessel of the collection under tuning `paper`, or `robust`, in its own scale."""
     ship = load_vessel(name)

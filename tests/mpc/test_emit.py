@@ -237,13 +237,7 @@ def test_amplitude_rows_beyond_the_control_horizon_change_nothing(
         for bound in (here.problem.u_min, here.problem.u_max)
     ]
     longer = QuadraticProgram(
-        qp.P,
-        qp.q,
-        rows.reshape(90, 15),
-        np.tile(limit[0], 30),
-        np.tile(limit[1], 30),
-        qp.lb,
-        qp.ub,
+        qp.P, qp.q, rows.reshape(90, 15), np.tile(limit[0], 30), np.tile(limit[1], 30), qp.lb, qp.ub
     )
     z, y, _ = by_quadprog(qp)
     assert np.abs(y).max() > 0.0

@@ -9,12 +9,7 @@ import pytest
 
 from dpbench.mpc.condense import condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.law import (
-    closed_loop,
-    closed_loop_eigenvalues,
-    gains,
-    unconstrained_plan,
-)
+from dpbench.mpc.law import closed_loop, closed_loop_eigenvalues, gains, unconstrained_plan
 from dpbench.mpc.model import prediction_model
 from dpbench.qp.stacked import stack
 from dpbench.scenario.scenario import load_vessel

@@ -25,8 +25,7 @@ from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
-LEAST = 0.05
-"""Share of its thrust that an azimuth which hardly pushes is turned as if it had."""
+LEAST = 0.05  # Share of its thrust that an azimuth which hardly pushes is turned as if it had
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +132,7 @@ class TurningQP(CondensedQP):
         return [ConstraintBlock(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
         """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
         step = super().emit(x, y_ref, u_prev, limits=limits)

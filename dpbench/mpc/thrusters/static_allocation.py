@@ -28,8 +28,7 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import ThrusterSet
 
-NEVER = 2.0
-"""A limit no thruster reaches: in units of its nominal thrust it gives 1 at most."""
+NEVER = 2.0  # A limit no thruster reaches: in units of its nominal thrust it gives 1 at most
 
 
 class StaticAllocation:
@@ -44,11 +43,7 @@ class StaticAllocation:
     """
 
     def __init__(
-        self,
-        thrusters: ThrusterSet,
-        sides: int,
-        sectors: Sequence[bool],
-        chords: Sequence[int],
+        self, thrusters: ThrusterSet, sides: int, sectors: Sequence[bool], chords: Sequence[int]
     ) -> None:
         round_ones = tuple(replace(t, sector_rad=None) for t in thrusters.thrusters)
         self._thrusters = thrusters
@@ -119,10 +114,7 @@ class LossAllocation:
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
         """l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under limits (K, r) of the rows [N]."""
         balance = force / self._units
-        return (
-            np.hstack([balance, low / self._thrust]),
-            np.hstack([balance, high / self._thrust]),
-        )
+        return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
     def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
         """The QP of limits (3 + r,)."""

@@ -16,8 +16,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP
 
 SWEEPS = 10
-RANGE = 1e250
-"""Numbers beyond it, or below its inverse, could leave float64 where they are scaled."""
+RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 where they are scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,12 +25,9 @@ from dpbench.qp.referee.kkt import KKTSystem
 
 TAU_EXPONENT = -120
 """τ = 2^−120: √(2·τ·‖y‖₁·(P⁻¹)_ii) stays below 1e-12 for ‖y‖₁·(P⁻¹)_ii up to 1e12."""
-LAST_BIT = -170
-"""Refined x is a multiple of 2^LAST_BIT."""
-ROUNDS = 12
-"""Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12."""
-NEAR = 1e-9
-"""Relative slack below which an inactive row counts as weakly active."""
+LAST_BIT = -170  # Refined x is a multiple of 2^LAST_BIT
+ROUNDS = 12  # Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12
+NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
 def met(problem: JointQP, z: Vector) -> Signs:

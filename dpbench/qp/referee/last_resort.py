@@ -47,23 +47,14 @@ from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
 from dpbench.qp.referee.gap import TAU_EXPONENT, independent, met, refine
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
-from dpbench.qp.referee.kkt import (
-    Geometry,
-    KKTSystem,
-    gamma,
-    linear_certificate,
-    positive_definite,
-)
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, gamma, linear_certificate, positive_definite
 from dpbench.qp.referee.oracle import guesses
 
-NO_MULTIPLIER = 1e-12
-"""A multiplier of less than this share of the largest one is no support for M."""
+NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)
 """Nor is one that moving limits by τ may have made: it is of the size of √τ at most."""
-WEIGHT = 4.0
-"""w of every row, of the largest diagonal entry of P."""
-AMOUNT_BITS = 20
-"""Inward amounts are multiples of 2^−AMOUNT_BITS·τ."""
+WEIGHT = 4.0  # w of every row, of the largest diagonal entry of P
+AMOUNT_BITS = 20  # Inward amounts are multiples of 2^−AMOUNT_BITS·τ
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,16 +206,11 @@ def _radius(rho: float, gap: float, omega: float) -> float | None:
 
 PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)
 """Weights of the proximal term where P is singular, of its largest entry, one after another."""
-PROXIMAL_STEPS = 6
-"""With each of them."""
-SETTLED = 1e-9
-"""Relative change of the proximal point at which its active set is taken."""
-ENOUGH = 1e-10
-"""A bound no better than it asks for another guess."""
-USEFUL = 1e-6
-"""A bound above it, of the size of the optimum, is no optimum to judge anybody by."""
-LARGEST = 1e6
-"""Inward amounts beyond it would need more room than the limits moved by τ leave."""
+PROXIMAL_STEPS = 6  # With each of them
+SETTLED = 1e-9  # Relative change of the proximal point at which its active set is taken
+ENOUGH = 1e-10  # A bound no better than it asks for another guess
+USEFUL = 1e-6  # A bound above it, of the size of the optimum, is no optimum to judge anybody by
+LARGEST = 1e6  # Inward amounts beyond it would need more room than the limits moved by τ leave
 
 
 @dataclass(frozen=True, slots=True, eq=False)

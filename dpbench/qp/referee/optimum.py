@@ -10,8 +10,7 @@ from dpbench.arrays import Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.qp.referee.joint import Kind
 
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
+ACTIVE_MULTIPLIER = 1e-9  # Scaled multipliers above it count as active limits in `n_active`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,12 +15,9 @@ from dpbench.arrays import Vector
 from dpbench.qp.dual_active_set import Ending, Projection
 from dpbench.qp.referee.joint import JointQP, Signs
 
-FREE = 1e30
-"""Stands for an infinite limit in DAQP, which documents this value."""
-_EQUALITY = 5
-"""DAQP's mark of a row that is always active."""
-_INFEASIBLE = -1
-"""DAQP's exit flag for an empty feasible set."""
+FREE = 1e30  # Stands for an infinite limit in DAQP, which documents this value
+_EQUALITY = 5  # DAQP's mark of a row that is always active
+_INFEASIBLE = -1  # DAQP's exit flag for an empty feasible set
 
 
 def guesses(problem: JointQP) -> Iterator[Signs | None]:
@@ -77,5 +74,4 @@ def _signs(problem: JointQP, y: Vector) -> Signs:
     return np.where(np.isfinite(limit), signs, 0).astype(np.int8)
 
 
-GUESSERS = (_ask_daqp, _ask_own)
-"""Who is asked, in this order."""
+GUESSERS = (_ask_daqp, _ask_own)  # Who is asked, in this order

@@ -76,12 +76,9 @@ from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import best_multipliers
 from dpbench.qp.solution import Solution, Status
 
-WANTED = 1e-10
-"""A bound above it sends the problem to the next, costlier certificate."""
-REMEMBERED = 128
-"""Active sets whose KKT inverse is kept."""
-EXACT_SIZE = 40
-"""Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
+WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
+REMEMBERED = 128  # Active sets whose KKT inverse is kept
+EXACT_SIZE = 40  # Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
 

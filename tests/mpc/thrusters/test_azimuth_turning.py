@@ -91,17 +91,13 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * case.problem.du_max
     turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
     kept = turning.kept(
-        f,
-        np.clip(move, -case.problem.du_max, case.problem.du_max),
-        case.problem.du_max,
+        f, np.clip(move, -case.problem.du_max, case.problem.du_max), case.problem.du_max
     )
     assert (np.abs(kept) <= case.problem.du_max * (1 + 1e-12)).all()
     along, across = arcs(case, f, kept)
     assert (along <= 1 + 1e-9).all() and (across <= 1 + 1e-9).all()
     np.testing.assert_allclose(
-        turning.kept(f, kept, case.problem.du_max),
-        kept,
-        atol=1e-9 * case.problem.du_max.max(),
+        turning.kept(f, kept, case.problem.du_max), kept, atol=1e-9 * case.problem.du_max.max()
     )
 
 

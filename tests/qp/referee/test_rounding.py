@@ -60,8 +60,7 @@ def test_planted_violation(plant: object, violation: float, kind: str, scale: fl
 
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize(
-    ("violation", "kind"),
-    [(2.0**-52, "undecided"), (1e-12, "infeasible"), (1e-3, "infeasible")],
+    ("violation", "kind"), [(2.0**-52, "undecided"), (1e-12, "infeasible"), (1e-3, "infeasible")]
 )
 @pytest.mark.parametrize("n", [3, 60])
 def test_opposed_rows(n: int, violation: float, kind: str, scale: float) -> None:

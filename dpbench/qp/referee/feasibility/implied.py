@@ -27,8 +27,7 @@ from dpbench.qp.referee.feasibility.farkas import in_integers
 from dpbench.qp.referee.gap import independent
 from dpbench.qp.referee.joint import JointQP, Signs
 
-NEAR = 1e-9
-"""Relative distance within which a row is worth the exact comparison."""
+NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
 
 
 def fix_forced(problem: JointQP) -> JointQP | None:
@@ -75,10 +74,8 @@ def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
     return forcing
 
 
-DENOMINATOR = 1000
-"""Largest denominator of a weight."""
-NONE = 1e-9
-"""Weights below it are rounding."""
+DENOMINATOR = 1000  # Largest denominator of a weight
+NONE = 1e-9  # Weights below it are rounding
 
 
 def without_empty(problem: JointQP) -> JointQP:

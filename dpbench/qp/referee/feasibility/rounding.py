@@ -39,12 +39,9 @@ from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
 
 UNIT_ROUNDOFF = 2.0**-53
-ENDLESS = 1e20
-"""A limit this large stands for none, whatever its writer used for infinity."""
-ROUNDS = 6
-"""Linear programs per search: each gains some six digits of the violation."""
-GAIN = 1e6
-"""How much finer the violation is resolved from one linear program to the next."""
+ENDLESS = 1e20  # A limit this large stands for none, whatever its writer used for infinity
+ROUNDS = 6  # Linear programs per search: each gains some six digits of the violation
+GAIN = 1e6  # How much finer the violation is resolved from one linear program to the next
 
 
 @dataclass(frozen=True, slots=True)
