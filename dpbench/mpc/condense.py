@@ -34,7 +34,7 @@ from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
 from dpbench.mpc.model import StateSpace, rotated
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
-from dpbench.qp.program import shaped
+from dpbench.qp.program import check_shape
 
 UnitSystem = Literal["scaled", "si"]
 Terminal = Literal["none", "riccati"]
@@ -85,7 +85,7 @@ class ControlProblem:
         if self.W is not None:
             shapes |= {"W": (n_u, n_u)}
         for name, shape in shapes.items():
-            array = shaped("ControlProblem", name, getattr(self, name), shape)
+            array = check_shape("ControlProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
         rows = self.thrusters
         G, row_max = np.eye(n_u), self.du_max

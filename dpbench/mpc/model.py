@@ -19,7 +19,7 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import shaped
+from dpbench.qp.program import check_shape
 from dpbench.ship.layout import AXES
 
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
@@ -56,7 +56,7 @@ class StateSpace:
     def __post_init__(self) -> None:
         n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
         for name, shape in {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}.items():
-            array = shaped("StateSpace", name, getattr(self, name), shape)
+            array = check_shape("StateSpace", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @property

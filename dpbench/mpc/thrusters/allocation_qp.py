@@ -22,7 +22,7 @@ import numpy as np
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shape
 from dpbench.ship.layout import AXES
 
 
@@ -51,7 +51,7 @@ class AllocationProblem:
         shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
         shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
         for name, shape in shapes.items():
-            array = shaped("AllocationProblem", name, getattr(self, name), shape)
+            array = check_shape("AllocationProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @cached_property

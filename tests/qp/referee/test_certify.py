@@ -12,7 +12,7 @@ from scipy import sparse
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.dyadic import Dyadic, semidefinite
+from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.kkt import KKTSystem, positive_definite
 from dpbench.qp.referee.optimum import Optimum
@@ -142,7 +142,7 @@ def test_definiteness_survives_rounding() -> None:
         B = np.random.default_rng(seed).normal(size=(2, 3))
         P = B.T @ B
         P = 0.5 * (P + P.T)
-        if not semidefinite(Dyadic.of(P).whole):
+        if not is_semidefinite(Dyadic.of(P).whole):
             indefinite += 1
             assert not positive_definite(P)
     assert indefinite > 10

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.qp.referee.dyadic import Dyadic, semidefinite, solve_integer
+from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite, solve_integer
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 
@@ -69,9 +69,9 @@ def test_semidefinite_is_decided_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     B = rng.integers(-1000, 1001, (3, 6))
     S = (B.T @ B).astype(object)
-    assert semidefinite(S)
+    assert is_semidefinite(S)
     for i in range(6):
         shifted = S * 1000
         shifted[i, i] -= 1
         # Rank 3 in six dimensions: each axis has a part in the null space.
-        assert not semidefinite(shifted)
+        assert not is_semidefinite(shifted)

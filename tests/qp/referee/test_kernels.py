@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 
 from dpbench.qp.referee import kernels, referee
 from dpbench.qp.referee.joint import JointQP, Signs
-from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, MEANT, linear_kernel, meaning
+from dpbench.qp.referee.kernels import (
+    CROSSED_LIMITS,
+    INVALID_DATA,
+    ORDERED_LIMITS,
+    classify_limits,
+    linear_kernel,
+)
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
-from dpbench.qp.referee.nearby import nearby
+from dpbench.qp.referee.nearby import guess_nearby
 from dpbench.qp.referee.referee import Referee
 
 INF = math.inf
@@ -135,19 +141,19 @@ def solve_exactly(K: NDArray[np.float64], b: NDArray[np.float64]) -> list[Fracti
 @pytest.mark.parametrize(
     ("q", "L", "U", "expected"),
     [
-        ([0.0], [0.0, -INF], [0.0, INF], MEANT),
-        ([0.0], [1.0, -INF], [0.0, INF], CROSSED),
-        ([0.0], [1.0, INF], [0.0, INF], MEANINGLESS),
-        ([0.0], [0.0, -INF], [0.0, -INF], MEANINGLESS),
-        ([0.0], [math.nan, 0.0], [0.0, 0.0], MEANINGLESS),
-        ([0.0], [0.0, 0.0], [0.0, math.nan], MEANINGLESS),
-        ([math.nan], [0.0, 0.0], [0.0, 0.0], MEANINGLESS),
-        ([-INF], [0.0, 0.0], [0.0, 0.0], MEANINGLESS),
+        ([0.0], [0.0, -INF], [0.0, INF], ORDERED_LIMITS),
+        ([0.0], [1.0, -INF], [0.0, INF], CROSSED_LIMITS),
+        ([0.0], [1.0, INF], [0.0, INF], INVALID_DATA),
+        ([0.0], [0.0, -INF], [0.0, -INF], INVALID_DATA),
+        ([0.0], [math.nan, 0.0], [0.0, 0.0], INVALID_DATA),
+        ([0.0], [0.0, 0.0], [0.0, math.nan], INVALID_DATA),
+        ([math.nan], [0.0, 0.0], [0.0, 0.0], INVALID_DATA),
+        ([-INF], [0.0, 0.0], [0.0, 0.0], INVALID_DATA),
     ],
 )
 def test_meaning(q: list[float], L: list[float], U: list[float], expected: int) -> None:
     """Limits without sense count before crossed ones."""
-    assert meaning(np.array(q), np.array(L), np.array(U)) == expected
+    assert classify_limits(np.array(q), np.array(L), np.array(U)) == expected
 
 
 @settings(max_examples=60)
@@ -160,7 +166,7 @@ def test_nearby_set_is_that_of_the_optimum(seed: int, n: int, changes: int) -> N
     optimal = np.where(np.abs(target) > 1.0, np.sign(target), 0.0).astype(np.int8)
     begun, changed = optimal.copy(), rng.permutation(n)[:changes]
     begun[changed] = rng.integers(-1, 2, len(changed))
-    found = nearby(problem, Geometry(problem.C), KKTSystem(P, problem.C, begun))
+    found = guess_nearby(problem, Geometry(problem.C), KKTSystem(P, problem.C, begun))
     assert found is not None and (found == optimal).all()
 
 
@@ -169,11 +175,13 @@ def test_nearby_gives_up_without_a_point() -> None:
     C, U = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([1.0, 1.0, INF])
     problem = JointQP(np.eye(2), np.array([-3.0, 0.0]), C, np.full(3, -INF), U)
     assert (
-        nearby(problem, Geometry(problem.C), KKTSystem(problem.P, C, np.zeros(3, dtype=np.int8)))
+        guess_nearby(
+            problem, Geometry(problem.C), KKTSystem(problem.P, C, np.zeros(3, dtype=np.int8))
+        )
         is None
     )
     endless = np.array([0, 0, 1], dtype=np.int8)
-    assert nearby(problem, Geometry(problem.C), KKTSystem(problem.P, C, endless)) is None
+    assert guess_nearby(problem, Geometry(problem.C), KKTSystem(problem.P, C, endless)) is None
 
 
 def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,7 +195,7 @@ def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPat
     def lie(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs:
         return rng.integers(-1, 2, 7).astype(np.int8)
 
-    monkeypatch.setattr(referee, "nearby", lie)
+    monkeypatch.setattr(referee, "guess_nearby", lie)
     for step, optimum in zip(steps, known, strict=True):
         found = deceived.certify(*step)
         assert found.kind == optimum.kind == "linear"
@@ -211,9 +219,9 @@ def test_any_memory_of_the_vectors_is_taken() -> None:
     """Vectors that may not be written to, or are every second number of others, compile nothing."""
     P, none, ones = np.eye(3), np.zeros((0, 3)), np.ones(3)
     plain = Referee(P, none, -ones, ones).certify(np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0])
-    compiled = len(meaning.signatures), len(linear_kernel.signatures)
+    compiled = len(classify_limits.signatures), len(linear_kernel.signatures)
     q = np.array([-2.0, 9.0, 0.5, 9.0, 0.0, 9.0])
     q.setflags(write=False)
     strided = Referee(P, none, -ones, ones).certify(q[::2], ones[:0], ones[:0])
     assert (strided.z == plain.z).all() and strided.kind == plain.kind == "linear"
-    assert compiled == (len(meaning.signatures), len(linear_kernel.signatures))
+    assert compiled == (len(classify_limits.signatures), len(linear_kernel.signatures))

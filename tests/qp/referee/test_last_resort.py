@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.equilibrated import Scales, safe
-from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
+from dpbench.qp.referee.equilibrated import Scales, is_scalable
+from dpbench.qp.referee.feasibility.implied import drop_empty_rows, tighten_implied
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
@@ -269,15 +269,15 @@ def _cycle(change: float = 0.0) -> JointQP:
 
 def test_implied_equalities_are_found_exactly() -> None:
     """Rows that close a circle are equalities, dependent ones go; a bit of slack is none."""
-    problem = without_empty(_cycle())
+    problem = drop_empty_rows(_cycle())
     assert np.isinf(problem.L[7])
     touched = np.array([-1] * 5 + [1, 1] + [0] * 6, dtype=np.int8)
-    found = with_implied(problem, touched)
+    found = tighten_implied(problem, touched)
     assert found is not None
     equal = found.L == found.U
     assert equal.sum() == 5
     assert np.linalg.matrix_rank(found.C[equal]) == 5
-    assert with_implied(without_empty(_cycle(2.0**-60)), touched) is None
+    assert tighten_implied(drop_empty_rows(_cycle(2.0**-60)), touched) is None
 
 
 def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -313,9 +313,9 @@ def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
 
 def test_numbers_out_of_range_are_left_alone() -> None:
     """Numbers that scaling could push out of float64 are refused, infinite limits are not."""
-    assert safe(np.array([1.0, 0.0, INF]))
-    assert not safe(np.array([1e300]))
-    assert not safe(np.array([1.0, 1e-300]))
+    assert is_scalable(np.array([1.0, 0.0, INF]))
+    assert not is_scalable(np.array([1e300]))
+    assert not is_scalable(np.array([1.0, 1e-300]))
 
 
 def test_referee_keeps_its_last_resort() -> None:

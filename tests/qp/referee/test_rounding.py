@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.feasibility.rounding import least_violation, sizes
+from dpbench.qp.referee.feasibility.rounding import least_violation, limit_sizes
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 
@@ -93,7 +93,7 @@ def test_crossed_limits(limit: float, row: bool) -> None:
 def test_bounds_enclose_the_least_violation(violation: float, plant: object, scale: float) -> None:
     """lower ≤ t* ≤ upper, with t* by hand in fractions; the verdict is that of t* and γ."""
     qp = plant(violation, scale)  # type: ignore[operator]  # one of the functions above
-    upper, lower = sizes(JointQP.of(qp))
+    upper, lower = limit_sizes(JointQP.of(qp))
     # The row must rise, and the bound z ≥ 0 may fall to meet it.
     room = Fraction(float(upper[0])) + (Fraction(float(lower[1])) if qp.n == 1 else 0)
     exact = Fraction(float(-qp.u[0])) / room

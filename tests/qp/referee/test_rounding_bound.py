@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.rounding import least_violation, sizes
+from dpbench.qp.referee.feasibility.rounding import least_violation, limit_sizes
 from dpbench.qp.referee.joint import JointQP
 
 U = 2.0**-53
@@ -60,7 +60,7 @@ def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, s
     qp = QuadraticProgram(
         np.eye(1), [1.0], [[coefficient], [1.0]], [-INF] * 2, [-(2.0**-200), 4.0], [-INF], [INF]
     )
-    assert sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-12)
+    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -74,4 +74,4 @@ def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, s
 def test_a_distance_that_is_rounding_is_no_reach(limit: float, size: float) -> None:
     """The row z ≤ −c has the size c + reach, beside the bound −1 ≤ z."""
     qp = QuadraticProgram(np.eye(1), [1.0], [[1.0]], [-INF], [-limit], [-1.0], [INF])
-    assert sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-15)
+    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-15)
