@@ -234,7 +234,7 @@ class DualActiveSet:
         return int(min(ties, key=lambda k: self._active[k])), shortest
 
     def _recompute(self) -> None:
-        """Recompute multipliers and point of the active set (eq. 31, 32) without gathered rounding."""
+        """Recompute multipliers and point of the active set (eq. 31, 32), without old rounding."""
         W = self._active
         g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
         at_limits = _triangular(self._R.T, g, lower=True)

@@ -21,7 +21,6 @@ from dpbench.mpc.condense import (
     affine_map,
     condense_matrices,
     scaled_rows,
-    summed_moves,
     summed_rows,
 )
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -241,7 +240,7 @@ def test_rows_of_thrusters_by_hand() -> None:
     both = [[0.6, 0.8, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.6, 0.8, 0.6, 0.8], [0.0, 1.0, 0.0, 1.0]]
     np.testing.assert_array_equal(summed_rows(2, problem.G), both)
     ones = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]]
-    np.testing.assert_array_equal(summed_moves(2, 2), ones)
+    np.testing.assert_array_equal(summed_rows(2, np.eye(2)), ones)
 
 
 def test_without_thrusters_the_rows_are_the_forces(ship: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.mpc.condense import summed_moves
+from dpbench.mpc.condense import summed_rows
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
@@ -242,4 +242,4 @@ def test_amplitude_rows_beyond_the_control_horizon_change_nothing(
     z, y, _ = by_quadprog(qp)
     assert np.abs(y).max() > 0.0
     np.testing.assert_allclose(by_quadprog(longer)[0], z, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(longer.A[:15], summed_moves(5, 3))
+    np.testing.assert_array_equal(longer.A[:15], summed_rows(5, np.eye(3)))

@@ -112,7 +112,7 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
 
 
 def is_semidefinite(S: Whole) -> bool:
-    """Return whether a symmetric integer matrix is positive is_semidefinite, exactly.
+    """Return whether a symmetric integer matrix is positive semidefinite, exactly.
 
     Symmetric elimination: a negative pivot refutes it, and so does a zero pivot whose row is not
     zero (Golub and Van Loan, Matrix Computations, 4.2.8).

@@ -6,7 +6,7 @@ other units, with equality rows enclosed (`last_resort`). No guess is trusted: e
 stands on its own.
 
 Certificates work on the rows of C = [A; I], rows first and bounds behind them. A set of active ones
-is an array of signs over them; an inverse is cached_njit for each set by its bytes:
+is an array of signs over them; an inverse is kept for each set by its bytes:
 
     row of C      0 … m−1      m … m+n−1                        n      w
     limits     L  l            lb                            ┌  P     C_Wᵀ ┐  ┌ z   ┐     ┌ −q  ┐
@@ -76,7 +76,7 @@ from dpbench.qp.residuals import best_multipliers
 from dpbench.qp.solution import Solution, Status
 
 WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
-REMEMBERED = 128  # Active sets whose KKT inverse is cached_njit
+REMEMBERED = 128  # Active sets whose KKT inverse is kept
 EXACT_SIZE = 40  # Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
