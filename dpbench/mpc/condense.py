@@ -42,8 +42,6 @@ Terminal = Literal["none", "riccati"]
 class ControlProblem:
     """Model, weights and limits of the controller, in SI units.
 
-    Parameters
-    ----------
     model : the incremental model (eq. 11).
     N_p, N_c : prediction and control horizon, 1 ≤ N_c ≤ N_p.
     Q : (n_y, n_y) output weight; R : (n_u, n_u) weight of the increments; the same at all steps.
@@ -52,9 +50,6 @@ class ControlProblem:
     thrusters : the rows G whose limits u_min, u_max are, where u are forces of thrusters.
     W : (n_u, n_u) weight of u itself over the planned moves; None for none, as in the paper.
     terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
-
-    Attributes
-    ----------
     G : (r, n_u) rows of the amplitude limits; limits : those of G u while nothing has failed.
     row_max : (r,) the change of G u by a full rate-limit step along each row: the unit of the row.
     """

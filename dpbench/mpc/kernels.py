@@ -195,8 +195,7 @@ def summed_blocks(G, rows):
 
 @njit(cache=True, error_model="numpy")
 def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
-    """Write the limits (r,), as far as the rate can follow, into the first r rows of each move in
-    l, u.
+    """Write the limits (r,), as far as the rate can follow, into each move's first rows in l, u.
 
     In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
     bound meets it to the last bit and no rounding makes the step infeasible.

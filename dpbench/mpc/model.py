@@ -131,8 +131,7 @@ def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpac
 
 
 def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
-    """Return the incremental model of a ship, linearised `turn_rad` further, without an
-    exponential.
+    """Return the incremental model of a ship linearised `turn_rad` further.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y

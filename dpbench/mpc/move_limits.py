@@ -16,8 +16,7 @@ CLIP_TOLERANCE = 1e-9
 
 
 class MoveLimit(Protocol):
-    """Limits a move, writes the applied force to `applied` and returns whether that changed
-    anything.
+    """Limits a move, writes the applied force and returns whether anything was cut.
 
     u (n_u,) the force applied before; du (n_u,) the move; limits : those in force.
     """
@@ -47,8 +46,7 @@ class AxisLimit:
 
 @njit(cache=True)
 def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Write applied = clip(u + clip(Δu, ±Δu_max), reachable limits); return whether that cut
-    anything.
+    """Write applied = clip(u + clip(Δu, ±Δu_max), reachable limits); return whether it cut.
 
     The reachable limits of the first move are max(u_max, u − Δu_max) and min(u_min, u + Δu_max):
     rate before amplitude, so no actuator limit is ever violated by an inexact answer. A force

@@ -27,8 +27,6 @@ from dpbench.ship.layout import AXES
 class OutputBounds:
     """Bounds on predicted position and speed.
 
-    Parameters
-    ----------
     sample_s : ΔT.
     radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.

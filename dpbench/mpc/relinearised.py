@@ -80,21 +80,13 @@ def _waves(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
 class RelinearisedQP(CondensedQP):
     """The DP MPC problem re-linearised at the heading in x of each step.
 
-    Parameters
-    ----------
     problem, units, amplitude, outputs, penalty : as for `CondensedQP`.
     psi0_rad : heading at which the model of `problem` is linearised.
     threshold_rad : least distance of the heading from the last time; 0 re-linearises each step.
     always : bring P with every re-linearised step, like a controller that condenses anew; False,
         only if entries of P depend on the heading.
-
-    Attributes
-    ----------
     P, A, Z, matrices : those of the last step; A and P in arrays that later steps leave alone.
     heading_rad : where they are linearised.
-
-    Raises
-    ------
     InputError : when the QP is no polynomial of degree 2 in the heading, as with a Riccati terminal
         cost under a Q that weighs north and east unlike.
     """

@@ -52,8 +52,7 @@ class TerminalCost:
 
 
 def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
-    """Return S (n_x, n_x) of the incremental model, found with the inputs in units of du_max
-    (n_u,).
+    """Return S (n_x, n_x) of the incremental model, with the inputs in units of du_max (n_u,).
 
     InputError when no stabilising solution exists, as for an output that no input controls.
     """

@@ -89,8 +89,6 @@ class Outcome:
 class DualActiveSet:
     """One run of the method.
 
-    Parameters
-    ----------
     J : (n, p) columns of unit length, or zero.
     x0 : (n,) the point to project.
     lower, upper : (p,) limits, lower ≤ upper; ±inf where there is none.

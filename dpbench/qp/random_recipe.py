@@ -16,8 +16,6 @@ LARGEST = (120, 300)  # Most variables and rows; with more, sums would be rounde
 class Family:
     """Properties that make a family of problems hard.
 
-    Parameters
-    ----------
     shows : description.
     cond : condition of P where a recipe names none; semidefinite : P has less than full rank.
     touching : rows and bounds met with a zero multiplier, as a share of n.
@@ -62,8 +60,6 @@ FAMILIES: dict[str, Family] = {
 class RandomRecipe:
     """All data that a random sequence is made from; InputError naming a field that is not allowed.
 
-    Parameters
-    ----------
     family : a name of `FAMILIES`.
     n, m : variables and rows, at most `LARGEST`; seed : of everything random.
     steps : length of the sequence; block : as in `QuadraticProgram`.

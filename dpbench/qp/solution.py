@@ -145,12 +145,7 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
 def received(answer: Any, n: int, m: int) -> Solution:
     """Return a plain copy of `answer`, so that nothing of it is computed later.
 
-    Parameters
-    ----------
     answer : what a solver gave; n, m : variables and rows of its QP.
-
-    Returns
-    -------
     A plain `Solution`; of a malformed answer one with the status ERROR and the fault in `detail`.
     """
     try:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
+from dpbench.bench.judge.force_limits import joint_limit_metrics
 from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thrusters.attainable_set import attainable_set
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, condense, load_scenario
+from dpbench.scenario.scenario import Scenario, condense, load_scenario, load_vessel, scenario_of
+from dpbench.ship.thrusters import ThrusterSet
 
 part = st.floats(-1.0, 1.0)
 
@@ -41,7 +50,6 @@ def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, n
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, units: str) -> None:
-    """Behind the polygons' rows, which stay as they are; A is the step's own."""
     builder = condense(case, units=units)  # type: ignore[arg-type] # one of the two
     assert isinstance(builder, TurningQP)
     rng = np.random.default_rng(2)
@@ -68,7 +76,6 @@ def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, u
 
 
 def test_both_units_have_one_optimum(case: Scenario) -> None:
-    """Of a step that turns its azimuths as far as they go."""
     rng = np.random.default_rng(5)
     x, f = np.concatenate([np.zeros(6), [2.0, -1.0, 0.1]]), 1e5 * rng.uniform(-0.5, 0.5, 8)
     scaled, si = condense(case), condense(case, units="si")
@@ -85,7 +92,6 @@ def test_both_units_have_one_optimum(case: Scenario) -> None:
 def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     share: list[float], moves: list[float]
 ) -> None:
-    """Rate of each entry, rate along the direction, arc across it."""
     case = load_scenario("thrusters_turning")
     assert case.controller.commanded is not None
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * case.problem.du_max
@@ -102,8 +108,111 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
 
 
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
-    """Of the exactly solved loop: no azimuth turns faster, some as fast as they may."""
     thrust = solve_exactly(case).thrust
     most = np.array([arcs(case, before, now - before)[1] for before, now in pairwise(thrust)])
     assert most.max() <= 1 + 1e-6
     assert most.max() >= 1 - 1e-6
+
+
+def reach_by_linprog(thrusters: ThrusterSet, sides: int, tau: np.ndarray, lost: set[int]) -> float:
+    """The largest s for which the thrusters make s τ, by a linear program over f."""
+    rows, kN = thruster_rows(thrusters, sides), 1e-3
+    gone = np.isin(rows.entry, sorted(lost))
+    # f in kN, s such that s τ is in N: T_e f = s τ kN.
+    scale = np.array([1.0, 1.0, 1.0 / 40.0])[:, np.newaxis]
+    A_eq = scale * np.column_stack([thrusters.T_e, -tau * kN])
+    A_ub = np.column_stack([np.vstack([rows.G, -rows.G]), np.zeros(2 * len(rows.low))])
+    b_ub = np.concatenate([rows.high, -rows.low]) * kN
+    bounds = [(0.0, 0.0) if out else (None, None) for out in gone] + [(0.0, None)]
+    cost = -np.eye(thrusters.n_f + 1)[-1]
+    found = linprog(cost, A_ub, b_ub, A_eq, np.zeros(3), bounds)
+    assert found.status == 0
+    return float(found.x[-1])
+
+
+@pytest.mark.parametrize("name", ["osv", "ratownik"])
+@pytest.mark.parametrize("lost", [set(), {0}, {1, 2}], ids=str)
+@pytest.mark.parametrize("sides", [4, 8])
+def test_the_edge_of_the_set_is_where_no_thrust_is_left(
+    name: str, lost: set[int], sides: int
+) -> None:
+    """In 60 random directions: how far the rows let a force grow, and how far linprog does."""
+    thrusters = load_vessel(name).thrusters
+    assert thrusters is not None
+    found = attainable_set(thrusters, sides)
+    low, high, _ = found.limits(lost)
+    rng = np.random.default_rng(sides)
+    for _ in range(60):
+        tau = rng.normal(size=3) * [1e5, 1e5, 4e6]
+        along = found.normals @ tau
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = np.where(along > 0.0, high / along, low / along)
+        expected = reach_by_linprog(thrusters, sides, tau, lost)
+        assert np.nanmin(reach) == pytest.approx(expected, rel=1e-7, abs=1e-9)
+
+
+def test_no_row_is_there_twice() -> None:
+    thrusters = load_vessel("ratownik").thrusters
+    assert thrusters is not None
+    normals = attainable_set(thrusters, 8).normals
+    unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    close = np.abs(unit @ unit.T) > 1 - 1e-12
+    assert close.sum() == len(unit)
+    assert 50 <= len(unit) <= 91
+
+
+def force_case(steps: int, **controller: object) -> Scenario:
+    """The controller of forces on ratownik in heavy weather, limited as a whole."""
+    files = load_scenario("thrusters").files
+    own = files["scenario"] | {"duration_s": 0.3 * steps}
+    table = {
+        "tuning": "forces",
+        "prediction_horizon": 30,
+        "control_horizon": 3,
+        "output_weight": [1.0, 1.0, 3000.0],
+        "move_weight_relative": [0.1, 0.1, 0.1],
+        "limits": "attainable",
+        "attainable_sides": 4,
+    }
+    return scenario_of(files | {"scenario": own | {"controller": table | controller}})
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_a_force_on_a_facet_leaves_no_slack_in_its_row(units: UnitSystem) -> None:
+    """One move from rest to h(n)·n/|n|² is on the facet of n after it, and at every later move."""
+    problem = force_case(3).problem
+    qp = CondensedQP(problem, units=units)
+    rest = np.zeros(problem.model.n_x), np.zeros(3), np.zeros(3)
+    step = qp.emit(*rest)
+    for i, (normal, reach) in enumerate(zip(problem.G, problem.u_max, strict=True)):
+        moves = np.zeros((problem.N_c, 3))
+        moves[0] = reach * normal / (normal @ normal)
+        z = (moves / (problem.du_max if units == "scaled" else 1.0)).reshape(-1)
+        rows = slice(i, None, len(problem.G))
+        np.testing.assert_allclose((qp.A @ z)[rows], step.u[rows], rtol=1e-9)
+
+
+def test_a_run_uses_what_there_is_and_no_more() -> None:
+    scenario = force_case(150)
+    exact = solve_exactly(scenario)
+    thrusters = scenario.vessel.thrusters
+    assert thrusters is not None
+    reach = [reach_by_linprog(thrusters, 4, tau, set()) for tau in exact.tau[60::10]]
+    assert min(reach) >= 1 - 1e-7
+    builder = QPBuilder(scenario)
+    metrics = joint_limit_metrics(scenario, exact.tau, builder.limits)
+    assert metrics["limit_violations"] == 0.0
+    assert (metrics["at_limit_thrusters"] > 0.0) == (min(reach) < 1 + 1e-6)
+    assert "at_amplitude_surge" not in metrics
+
+
+def test_what_cannot_be_is_said_in_one_line() -> None:
+    files = load_scenario("rough").files
+    table = files["scenario"]["controller"] | {"limits": "attainable"}
+    with pytest.raises(InputError, match=r'controller.limits: found "attainable"; allowed: "box"'):
+        scenario_of(files | {"scenario": files["scenario"] | {"controller": table}})
+    thrusters = load_vessel("osv").thrusters
+    assert thrusters is not None
+    turned = replace(thrusters.thrusters[2], sector_rad=(0.0, 1.0))
+    with pytest.raises(InputError, match="sector_deg"):
+        attainable_set(ThrusterSet((*thrusters.thrusters[:2], turned, thrusters.thrusters[3])), 8)

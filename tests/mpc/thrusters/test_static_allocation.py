@@ -59,7 +59,6 @@ def test_the_most_ahead_is_full_thrust_times_its_share(thrusters: ThrusterSet, s
 
 
 def test_what_is_lost_gives_nothing(thrusters: ThrusterSet) -> None:
-    """The port azimuth gone: the other one balances by itself, with the tunnel's moment."""
     load = np.array([-4e4, 0.0, 0.0])
     f = forces(thrusters, allocation(thrusters).qp(load, FULL, WHOLE, frozenset({0})))
     np.testing.assert_allclose(f[:2], 0.0, atol=1e-9)
@@ -80,7 +79,6 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
 
 
 def test_room_for_pieces_changes_the_shape_and_not_the_answer(thrusters: ThrusterSet) -> None:
-    """Rows that stand in never bind: the same optimum, all QPs of a batch of one shape."""
     load = np.array([-1.5e5, 4e4, 1e6])
     narrow, wide = (
         allocation(thrusters, room=room).qp(load, FULL, WHOLE, NOBODY) for room in (False, True)

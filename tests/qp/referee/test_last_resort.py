@@ -1,8 +1,4 @@
-"""Optima that only the last resort certifies: equality rows, bad scaling, no interior, singular P.
-
-As in `test_certify_constructed`, all numbers are small multiples of 1/8 and powers of two, so that
-the planted optimum is the optimum to the last bit.
-"""
+"""Optima that only the last resort certifies."""
 
 from __future__ import annotations
 
@@ -66,22 +62,19 @@ def plant(
     A = (rng.integers(-3, 4, (m, n)) * (rng.random((m, n)) < density)).astype(float)
     z = rng.integers(-16, 17, n) / 8
     value, side = A @ z, rng.choice([-1.0, 1.0], m)
-    kind = np.repeat(["equal", "strict", "weak", "free"], [equal, strict, weak, m // 2])
     size = rng.integers(1, 16, m) / 8
+    kind = np.repeat(["equal", "strict", "weak", "free"], [equal, strict, weak, m // 2])
     y = np.where(np.isin(kind, ["equal", "strict"]), side * size, 0.0)
-    room = np.where(kind == "free", size, 0.0)
-    u = np.where((side > 0) | (kind == "free") | (kind == "equal"), value + room, INF)
-    l = np.where((side < 0) | (kind == "free") | (kind == "equal"), value - room, -INF)  # noqa: E741 - l as in QP
+    room, both = np.where(kind == "free", size, 0.0), np.isin(kind, ["free", "equal"])
+    u = np.where((side > 0) | both, value + room, INF)
+    l = np.where((side < 0) | both, value - room, -INF)  # noqa: E741 - l as in QP
     lb, ub, y_box = np.full(n, -INF), np.full(n, INF), np.zeros(n)
     held = rng.permutation(n)[:bounds]
     lb[held], y_box[held] = z[held], -rng.integers(1, 16, bounds) / 8
     q = -(P @ z + A.T @ y + y_box)
-    D = 2.0 ** rng.integers(-spread, spread + 1, n)
-    R = 2.0 ** rng.integers(-spread, spread + 1, m)
-    qp = QuadraticProgram(
-        P / np.outer(D, D), q / D, R[:, None] * A / D, R * l, R * u, lb * D, ub * D
-    )
-    return Planted(qp, z * D, D)
+    D, R = (2.0 ** rng.integers(-spread, spread + 1, count) for count in (n, m))
+    scaled = P / np.outer(D, D), q / D, R[:, None] * A / D, R * l, R * u, lb * D, ub * D
+    return Planted(QuadraticProgram(*scaled), z * D, D)
 
 
 def _certified(known: Planted) -> Optimum:
@@ -103,7 +96,6 @@ def test_weak_rows_beside_equalities(seed: int, spread: int) -> None:
 
 
 def test_definite_in_other_units() -> None:
-    """Units that hide from rounding that P is definite do not hide it from the referee."""
     for seed in range(3):
         _certified(plant(seed, 120, equal=20, strict=10, weak=10, density=0.2, spread=25))
 
@@ -127,7 +119,6 @@ def test_sparse_and_large(n: int) -> None:
 def test_bound_holds_on_its_own(
     seed: int, n: int, equal: int, strict: int, weak: int, spread: int
 ) -> None:
-    """Whatever is active, dependent or ill scaled, the last resort is silent or right."""
     known = plant(seed, n, equal=equal, strict=strict, weak=weak, spread=spread)
     proof = _resort(known.qp)
     if proof is not None:
@@ -155,15 +146,9 @@ def _resort(qp: QuadraticProgram) -> Proof | None:
 def test_singular_cost(
     seed: int, n: int, equal: int, strict: int, bounds: int, spread: int
 ) -> None:
-    """With singular P the bound covers the planted minimiser; it is found where rows make up for P.
-
-    A linear program (rank 0) is the extreme case.
-    """
-    rank = seed % n
-    bounds = min(bounds, n)
-    known = plant(
-        seed, n, equal=equal, strict=strict, weak=1, bounds=bounds, rank=rank, spread=spread
-    )
+    """With singular P the bound covers the planted minimiser."""
+    sizes = {"bounds": min(bounds, n), "rank": seed % n, "spread": spread}
+    known = plant(seed, n, equal=equal, strict=strict, weak=1, **sizes)
     optimum = certify(known.qp)
     assert optimum.kind != "infeasible"
     if np.isfinite(optimum.bound):
@@ -173,12 +158,10 @@ def test_singular_cost(
 
 @pytest.mark.parametrize("seed", range(5))
 def test_degenerate_vertex_of_a_linear_program(seed: int) -> None:
-    """Many strictly active rows at a vertex, far more than variables, stand in for the cost."""
     _certified(plant(seed, 45, equal=5, strict=60, weak=0, rank=0))
 
 
 def test_many_minimisers_have_no_certificate() -> None:
-    """A linear program with an edge of minimisers is not certified."""
     ones = np.ones(2)
     for q in ([1.0, 0.0], [0.0, 0.0], [1.0, 1.0]):
         qp = QuadraticProgram(np.zeros((2, 2)), q, [[1.0, 1.0]], [0.5], [0.5], -ones, ones)
@@ -187,7 +170,6 @@ def test_many_minimisers_have_no_certificate() -> None:
 
 @pytest.mark.parametrize(("row", "certified"), [([0.0, 1.0], True), ([1.0, 0.0], False)])
 def test_cost_convex_where_equalities_leave_room(row: list[float], certified: bool) -> None:
-    """A saddle is certified if equality rows hold its falling direction, else not."""
     P, free = np.diag([1.0, -1.0]), np.full(2, INF)
     qp = QuadraticProgram(P, [-1.0, 0.0], [row], [0.25], [0.25], -free, free)
     optimum = certify(qp)
@@ -223,21 +205,16 @@ def test_agrees_with_exact_arithmetic(seed: int) -> None:
 @pytest.mark.parametrize("rank", [0, 1, 2])
 @pytest.mark.parametrize("q", [(-2.0, 0.5), (-0.25, -0.25), (3.0, -3.0), (0.125, 0.5), (0.0, 0.0)])
 def test_every_active_set(q: tuple[float, float], rank: int) -> None:
-    """Given any active set the enclosure is silent or covers a minimiser of z_1 + z_2 = 1/4.
-
-    On that line the cost is one of z_1 alone, in [−3/4, 1].
-    """
+    """Given any active set the enclosure is silent or covers a minimiser of z_1 + z_2 = 1/4."""
     P = np.diag([1.0, 1.0]) if rank == 2 else np.diag([float(rank), 0.0])
     C = np.array([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
     U = np.array([0.25, 1.0, 1.0])
     problem = JointQP(P, np.array(q), C, np.array([0.25, -1.0, -1.0]), U)
     slope, curvature = q[0] - q[1] - 0.25 * P[1, 1], P[0, 0] + P[1, 1]
-    if curvature == 0.0 and slope == 0.0:
-        best = None
-    elif curvature == 0.0:
-        best = -0.75 if slope > 0.0 else 1.0
-    else:
-        best = float(np.clip(-slope / curvature, -0.75, 1.0))
+    best = None
+    if curvature or slope:
+        free = -slope / curvature if curvature else -INF * slope
+        best = float(np.clip(free, -0.75, 1.0))
     bounds = []
     for rest in product((-1, 0, 1), repeat=2):
         system = KKTSystem(P, C, np.array([1, *rest], dtype=np.int8))
@@ -256,11 +233,9 @@ def test_every_active_set(q: tuple[float, float], rank: int) -> None:
 def _cycle(change: float = 0.0) -> JointQP:
     """Rows z_1 ≥ z_2 ≥ … ≥ z_5 ≥ z_1 (all equal), an equality row twice, and an empty row."""
     n = 5
-    A = np.zeros((8, n))
-    for i in range(n):
-        A[i, i], A[i, (i + 1) % n] = 1.0, -1.0
-    A[5] = A[6] = 1.0
-    A[6] *= 3.0
+    A = np.vstack(
+        (np.eye(n) - np.roll(np.eye(n), 1, axis=1), np.ones(n), 3.0 * np.ones(n), np.zeros(n))
+    )
     l = np.array([0.0, 0.0, 0.0, 0.0, -change, 2.0, 6.0, -1.0])  # noqa: E741 - as in QuadraticProgram
     u = np.array([INF] * 5 + [2.0, 6.0, 1.0])
     free = np.full(n, INF)
@@ -268,7 +243,6 @@ def _cycle(change: float = 0.0) -> JointQP:
 
 
 def test_implied_equalities_are_found_exactly() -> None:
-    """Rows that close a circle are equalities, dependent ones go; a bit of slack is none."""
     problem = drop_empty_rows(_cycle())
     assert np.isinf(problem.L[7])
     touched = np.array([-1] * 5 + [1, 1] + [0] * 6, dtype=np.int8)
@@ -281,7 +255,6 @@ def test_implied_equalities_are_found_exactly() -> None:
 
 
 def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A feasible set without interior that no single row forces has a certificate."""
     problem = _cycle()
     proof = LastResort(problem.P, problem.C, convex=True).certify(problem)
     assert proof is not None
@@ -295,7 +268,6 @@ def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
-    """Scaled numbers divided by their factors are the numbers as posed, and alike in size."""
     known = plant(seed, 8, equal=2, strict=2, weak=2, bounds=2, spread=25)
     joint = JointQP.of(known.qp)
     scales = Scales.of(joint.P, joint.C)
@@ -319,7 +291,6 @@ def test_numbers_out_of_range_are_left_alone() -> None:
 
 
 def test_referee_keeps_its_last_resort() -> None:
-    """Problems that share P and A are certified one after the other as each on its own."""
     known = plant(3, 50, equal=12, strict=6, weak=6)
     qp = known.qp
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
