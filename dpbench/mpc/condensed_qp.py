@@ -91,7 +91,6 @@ class CondensedQP:
         return self._matrices
 
     def _build_plain(self) -> None:
-        """Build the paper's problem: rate limits as bounds, amplitude limits as rows."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
@@ -209,7 +208,6 @@ class CondensedQP:
         return self._matrices.F_y
 
     def _limit(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
-        """Write amplitude limits other than the vessel's, by the policy."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write(u_prev, limits, step.l, step.u)

@@ -117,7 +117,6 @@ class RelinearisedQP(CondensedQP):
         self._brings_A = len(self._series["A"].varying) > 0
 
     def _build_at(self, turn_rad: float) -> CondensedQP:
-        """Return the problem at another heading, with the penalty of this one."""
         form = Form(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
         return CondensedQP(self.control.turned(turn_rad), **form, penalty=self.penalty)
 

@@ -91,7 +91,6 @@ class StagedQP:
         return (i - behind) * width + behind * self.control.model.n_x
 
     def _state(self, i: int) -> slice:
-        """Return where x_{i+1} is among the variables."""
         model = self.control.model
         first = self._first(i, self._width) + (2 * model.n_u if i < self.control.N_c else 0)
         return slice(first, first + model.n_x)

@@ -154,10 +154,8 @@ class QPStep:
 
     def copy(self) -> QPStep:
         """Copy the step with all its arrays."""
-        parts = {name: getattr(self, name) for name in ARRAYS}
-        return QPStep(
-            **{name: None if part is None else part.copy() for name, part in parts.items()}
-        )
+        P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
+        return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 
 
 @dataclass(frozen=True, eq=False)

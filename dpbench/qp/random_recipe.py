@@ -93,7 +93,6 @@ class RandomRecipe:
 
     @property
     def _least_rows(self) -> int:
-        """Fewest rows that show the property of the family."""
         rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
         return rows.get(self.family, 2)
 

@@ -36,7 +36,7 @@ class Status(IntEnum):
 
     @property
     def usable(self) -> bool:
-        """Whether a finite iterate under this status is applied to the ship.
+        """Return whether a finite iterate under this status is applied to the ship.
 
         Infeasible, error and time-limit claims come with no plan worth following; an inaccurate or
         unfinished iterate is applied and marked.
@@ -45,12 +45,12 @@ class Status(IntEnum):
 
     @property
     def is_unfinished(self) -> bool:
-        """Whether a usable iterate under this status is applied and marked."""
+        """Return whether a usable iterate under this status is applied and marked."""
         return self in _UNFINISHED
 
     @property
     def denies_optimum(self) -> bool:
-        """Whether it claims that there is no optimum."""
+        """Return whether it claims that there is no optimum."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
@@ -105,7 +105,7 @@ class Solution:
 
     @property
     def claimed(self) -> bool:
-        """Whether the solver claims to have solved the problem."""
+        """Return whether the solver claims to have solved the problem."""
         return self.status is Status.SOLVED
 
     @property
@@ -196,5 +196,4 @@ def _read_integer(name: str, value: Any) -> int:
 
 
 def _describe_type(value: Any) -> str:
-    """Return the type of a value in words."""
     return "None" if value is None else f"of type {type(value).__name__}"

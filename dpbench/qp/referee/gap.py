@@ -125,7 +125,6 @@ def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
 
 
 def _is_feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
-    """Return whether z satisfies every limit, exactly."""
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
     over = value[upper] - Dyadic.of(problem.U[upper])

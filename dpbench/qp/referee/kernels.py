@@ -44,8 +44,7 @@ import numpy as np
 from dpbench.kernel_cache import njit
 
 UNIT = float(np.finfo(np.float64).eps)  # Twice the unit roundoff, which leaves room
-OUTWARD = 1.0 + 1e-11
-"""Makes up for the rounding of the bounds themselves: sums of up to some 10⁴ positive terms."""
+OUTWARD = 1.0 + 1e-11  # Covers the rounding of the bounds: sums of some 10⁴ positive terms
 UNDERFLOW = 1e-291  # Far above what any sum here can lose by underflow
 SPLITTER = 2.0**27 + 1.0  # Halves the 53 bits of a float64 (Veltkamp)
 # Limits that may be certified; a lower one above its upper one; no numbers any z could satisfy.

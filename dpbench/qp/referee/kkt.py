@@ -66,7 +66,7 @@ class KKTSystem:
 
     @property
     def proven(self) -> bool:
-        """Whether K is proven non-singular (and X a good inverse)."""
+        """Return whether K is proven non-singular (and X a good inverse)."""
         return self.alpha < 0.5
 
     def rhs(self, q: Vector, L: Vector, U: Vector) -> Vector:

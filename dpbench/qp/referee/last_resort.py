@@ -193,7 +193,6 @@ def _inverse_bounds(
 
 
 def _error_radius(rho: float, gap: float, omega: float) -> float | None:
-    """Return x; None unless ωρ² ≤ ¼."""
     if not omega * rho**2 * OUTWARD <= 0.25:
         return None
     return (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
@@ -260,7 +259,6 @@ class LastResort:
         return best
 
     def _guess_sets(self, problem: JointQP) -> Iterator[_Guess]:
-        """Yield active sets in the new units, best first."""
         if self._definite:
             for signs in guesses(problem):
                 if signs is not None:
@@ -319,7 +317,6 @@ class LastResort:
         return self._unscale(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
 
     def _unscale(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
-        """Return the proof in the units of the problem as posed."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)
@@ -346,7 +343,6 @@ def _explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
 
 
 def _solve_set(problem: JointQP, signs: Signs) -> Vector | None:
-    """Return the point of an active set, unproven."""
     held = independent(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]

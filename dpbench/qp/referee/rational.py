@@ -153,7 +153,6 @@ def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
 
 
 def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
-    """Find an active set with multipliers of the right sign, from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
         active.add(row, int(signs[row]))

@@ -163,7 +163,6 @@ class Referee:
         return self._split_proof(proof)
 
     def _try_nearby(self, problem: JointQP) -> Proof | None:
-        """Try the active set that is near to that of the step before."""
         system = self._system(self._last) if self._convex else None
         if system is None or not system.proven:
             return None
@@ -174,7 +173,6 @@ class Referee:
         return proof
 
     def _search(self, problem: JointQP) -> Optimum:
-        """Try everything but the active set of the step before and its neighbours."""
         fixed = fix_forced(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
@@ -278,7 +276,8 @@ class Referee:
         return gap_certificate(problem, self._exact_matrices(), system, self._data.inverse)
 
     def _split_proof(self, proof: Proof) -> Optimum:
-        return Optimum(proof.z, *np.split(proof.y, [self._m]), proof.bound, proof.kind)
+        y, y_box = proof.y[: self._m], proof.y[self._m :]
+        return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _find_farkas(self, problem: JointQP) -> Optimum | None:
         """Return "infeasible" or "undecided" with a verified vector, if there is one."""
@@ -305,7 +304,6 @@ class Referee:
         return verdict if verdict.kind == "infeasible" else None
 
     def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        """Return the verdict on a problem that (y, y_box) proves to have no feasible point."""
         least = least_violation(self._program(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)

@@ -1,4 +1,4 @@
-"""Exact arithmetic and compiled kernels against fractions; the nearby set against the planted one."""
+"""Exact arithmetic and compiled kernels against fractions; nearby active sets."""
 
 from __future__ import annotations
 

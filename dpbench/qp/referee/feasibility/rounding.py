@@ -55,7 +55,7 @@ class LeastViolation:
 
     @property
     def undecided(self) -> bool:
-        """Whether the violation is no more than rounding."""
+        """Return whether the violation is no more than rounding."""
         return self.upper <= self.rounding
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,15 +50,13 @@ def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, n
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, units: str) -> None:
-    builder = condense(case, units=units)  # type: ignore[arg-type] # one of the two
+def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, units: Any) -> None:
+    builder = condense(case, units=units)
     assert isinstance(builder, TurningQP)
     rng = np.random.default_rng(2)
-    f = 1e5 * rng.uniform(-0.5, 0.5, 8)
-    f[4:6] = 0.0
-    step = builder.emit(rng.normal(size=9), np.zeros(3), f)
-    qp = builder.problem(step)
-    plain = CondensedQP(case.problem, units=units)  # type: ignore[arg-type] # one of the two
+    f = 1e5 * rng.uniform(-0.5, 0.5, 8) * np.repeat([1.0, 0.0, 1.0], [4, 2, 2])
+    qp = builder.problem(builder.emit(rng.normal(size=9), np.zeros(3), f))
+    plain = CondensedQP(case.problem, units=units)
     shape = case.problem.N_c, qp.m // case.problem.N_c
     polygons = qp.A.reshape(*shape, -1)[:, :-6].reshape(plain.A.shape)
     np.testing.assert_allclose(polygons, plain.A, rtol=0, atol=1e-15)
@@ -67,10 +66,9 @@ def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, u
         plan = 1.5 * rng.uniform(-1, 1, (case.problem.N_c, 8)) * case.problem.du_max
         rows = qp.A @ builder.plan(plan)
         kept = ((rows <= qp.u) & (rows >= qp.l)).reshape(shape)[:, -6:]
-        for i in range(case.problem.N_c):
-            along, across = arcs(case, f, plan[i])
-            expected = np.stack((along <= 1.0, across <= 1.0), axis=-1).reshape(-1)
-            np.testing.assert_array_equal(kept[i], expected)
+        for found, move in zip(kept, plan, strict=True):
+            expected = (np.array(arcs(case, f, move)) <= 1.0).T.reshape(-1)
+            np.testing.assert_array_equal(found, expected)
             seen |= set(expected.tolist())
     assert seen == {True, False}
 
@@ -92,26 +90,36 @@ def test_both_units_have_one_optimum(case: Scenario) -> None:
 def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     share: list[float], moves: list[float]
 ) -> None:
+    """Rate of each entry, rate along the direction, arc across it."""
     case = load_scenario("thrusters_turning")
     assert case.controller.commanded is not None
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * case.problem.du_max
     turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
     kept = turning.kept(
-        f, np.clip(move, -case.problem.du_max, case.problem.du_max), case.problem.du_max
+        f,
+        np.clip(move, -case.problem.du_max, case.problem.du_max),
+        case.problem.du_max,
     )
     assert (np.abs(kept) <= case.problem.du_max * (1 + 1e-12)).all()
     along, across = arcs(case, f, kept)
     assert (along <= 1 + 1e-9).all() and (across <= 1 + 1e-9).all()
     np.testing.assert_allclose(
-        turning.kept(f, kept, case.problem.du_max), kept, atol=1e-9 * case.problem.du_max.max()
+        turning.kept(f, kept, case.problem.du_max),
+        kept,
+        atol=1e-9 * case.problem.du_max.max(),
     )
 
 
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
     thrust = solve_exactly(case).thrust
     most = np.array([arcs(case, before, now - before)[1] for before, now in pairwise(thrust)])
-    assert most.max() <= 1 + 1e-6
-    assert most.max() >= 1 - 1e-6
+    assert most.max() == pytest.approx(1.0, abs=1e-6)
+
+
+def thrusters_of(name: str) -> ThrusterSet:
+    thrusters = load_vessel(name).thrusters
+    assert thrusters is not None
+    return thrusters
 
 
 def reach_by_linprog(thrusters: ThrusterSet, sides: int, tau: np.ndarray, lost: set[int]) -> float:
@@ -137,8 +145,7 @@ def test_the_edge_of_the_set_is_where_no_thrust_is_left(
     name: str, lost: set[int], sides: int
 ) -> None:
     """In 60 random directions: how far the rows let a force grow, and how far linprog does."""
-    thrusters = load_vessel(name).thrusters
-    assert thrusters is not None
+    thrusters = thrusters_of(name)
     found = attainable_set(thrusters, sides)
     low, high, _ = found.limits(lost)
     rng = np.random.default_rng(sides)
@@ -152,16 +159,14 @@ def test_the_edge_of_the_set_is_where_no_thrust_is_left(
 
 
 def test_no_row_is_there_twice() -> None:
-    thrusters = load_vessel("ratownik").thrusters
-    assert thrusters is not None
-    normals = attainable_set(thrusters, 8).normals
+    normals = attainable_set(thrusters_of("ratownik"), 8).normals
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     close = np.abs(unit @ unit.T) > 1 - 1e-12
     assert close.sum() == len(unit)
     assert 50 <= len(unit) <= 91
 
 
-def force_case(steps: int, **controller: object) -> Scenario:
+def force_case(steps: int) -> Scenario:
     """The controller of forces on ratownik in heavy weather, limited as a whole."""
     files = load_scenario("thrusters").files
     own = files["scenario"] | {"duration_s": 0.3 * steps}
@@ -174,7 +179,7 @@ def force_case(steps: int, **controller: object) -> Scenario:
         "limits": "attainable",
         "attainable_sides": 4,
     }
-    return scenario_of(files | {"scenario": own | {"controller": table | controller}})
+    return scenario_of(files | {"scenario": own | {"controller": table}})
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -194,13 +199,11 @@ def test_a_force_on_a_facet_leaves_no_slack_in_its_row(units: UnitSystem) -> Non
 
 def test_a_run_uses_what_there_is_and_no_more() -> None:
     scenario = force_case(150)
-    exact = solve_exactly(scenario)
-    thrusters = scenario.vessel.thrusters
-    assert thrusters is not None
-    reach = [reach_by_linprog(thrusters, 4, tau, set()) for tau in exact.tau[60::10]]
+    tau = solve_exactly(scenario).tau
+    thrusters = thrusters_of("ratownik")
+    reach = [reach_by_linprog(thrusters, 4, force, set()) for force in tau[60::10]]
     assert min(reach) >= 1 - 1e-7
-    builder = QPBuilder(scenario)
-    metrics = joint_limit_metrics(scenario, exact.tau, builder.limits)
+    metrics = joint_limit_metrics(scenario, tau, QPBuilder(scenario).limits)
     assert metrics["limit_violations"] == 0.0
     assert (metrics["at_limit_thrusters"] > 0.0) == (min(reach) < 1 + 1e-6)
     assert "at_amplitude_surge" not in metrics
@@ -211,8 +214,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     table = files["scenario"]["controller"] | {"limits": "attainable"}
     with pytest.raises(InputError, match=r'controller.limits: found "attainable"; allowed: "box"'):
         scenario_of(files | {"scenario": files["scenario"] | {"controller": table}})
-    thrusters = load_vessel("osv").thrusters
-    assert thrusters is not None
-    turned = replace(thrusters.thrusters[2], sector_rad=(0.0, 1.0))
+    first, *others = thrusters_of("osv").thrusters[::-1]
+    others[0] = replace(others[0], sector_rad=(0.0, 1.0))
     with pytest.raises(InputError, match="sector_deg"):
-        attainable_set(ThrusterSet((*thrusters.thrusters[:2], turned, thrusters.thrusters[3])), 8)
+        attainable_set(ThrusterSet((first, *others)), 8)
