@@ -29,7 +29,7 @@ from numpy.lib.stride_tricks import as_strided
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
-from dpbench.mpc.model import StateSpace, rotated
+from dpbench.mpc.model import StateSpace, rotate_model
 from dpbench.mpc.terminal import TerminalCost, terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import check_shape
@@ -96,9 +96,9 @@ class ControlProblem:
         """N_p and N_c by name."""
         return {"N_p": self.N_p, "N_c": self.N_c}
 
-    def turned(self, turn_rad: float) -> ControlProblem:
+    def rotate(self, turn_rad: float) -> ControlProblem:
         """Return the problem with the ship's model linearised `turn_rad` further (eq. 5)."""
-        return replace(self, model=rotated(self.model, turn_rad))
+        return replace(self, model=rotate_model(self.model, turn_rad))
 
 
 def toeplitz(h: Floats, N_c: int) -> Matrix:

@@ -130,7 +130,7 @@ def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpac
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
-def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
+def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
     """Return the incremental model of a ship linearised `turn_rad` further.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
@@ -140,7 +140,7 @@ def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
-        raise ShapeError.of("rotated", "model", sizes, "the 9 states and 3 outputs of a ship")
+        raise ShapeError.of("rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship")
     R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]

@@ -1,6 +1,6 @@
 """`RelinearisedQP`: the condensed QP re-linearised at the measured heading, step by step.
 
-Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotated`), so with R = R(ψ − ψ0)
+Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotate_model`), so with R = R(ψ − ψ0)
 
     h_t ↦ R h_t,    F_t ↦ R F_t Tᵀ,    E ↦ Σ hᵀ (RᵀQR) h + R̄,    F_x ↦ Σ hᵀ (RᵀQR) F_t Tᵀ
 
@@ -118,7 +118,7 @@ class RelinearisedQP(CondensedQP):
 
     def _build_at(self, turn_rad: float) -> CondensedQP:
         form = Form(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
-        return CondensedQP(self.control.turned(turn_rad), **form, penalty=self.penalty)
+        return CondensedQP(self.control.rotate(turn_rad), **form, penalty=self.penalty)
 
     def _verify_series(self, check: CondensedQP) -> None:
         for name, series in self._series.items():
@@ -136,7 +136,7 @@ class RelinearisedQP(CondensedQP):
         """E, F, Φ of the paper in SI units at the last heading; slow after a turn."""
         if self._condensed_at != self.heading_rad:
             turn = self.heading_rad - self.psi0_rad
-            self._matrices = condense_matrices(self.control.turned(turn))
+            self._matrices = condense_matrices(self.control.rotate(turn))
             self._condensed_at = self.heading_rad
         return self._matrices
 

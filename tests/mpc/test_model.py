@@ -18,7 +18,7 @@ from dpbench.mpc.model import (
     discretise,
     linearise,
     prediction_model,
-    rotated,
+    rotate_model,
     rotation,
 )
 from dpbench.mpc.reference import ReferenceFilter, nearest_pose, reference_table
@@ -124,7 +124,7 @@ def test_matrices_that_do_not_fit_are_refused_by_name(shapes: Any, named: str) -
         StateSpace(*(np.zeros(shape) for shape in shapes))
     assert caught.value.key == named
     with pytest.raises(ShapeError, match="9 states"):
-        rotated(StateSpace(np.eye(8), np.ones((8, 3)), np.eye(3, 8)), 0.1)
+        rotate_model(StateSpace(np.eye(8), np.ones((8, 3)), np.eye(3, 8)), 0.1)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
@@ -134,7 +134,7 @@ def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
 ) -> None:
     """Turning the discretised model from ψ0 to ψ gives what the matrix exponential gives at ψ."""
     ship, sample_s = load_vessel(name), sample_of(name)
-    found = rotated(prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad)
+    found = rotate_model(prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad)
     expected = prediction_model(ship.M, ship.D, psi_rad, sample_s)
     # Entries of A are 1 at most; those of B are compared in what a rate-limit step does.
     step = ship.step_max(sample_s)

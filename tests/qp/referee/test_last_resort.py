@@ -182,22 +182,17 @@ def test_cost_convex_where_equalities_leave_room(row: list[float], certified: bo
 def test_agrees_with_exact_arithmetic(seed: int) -> None:
     """On data without any structure the last resort encloses what exact arithmetic finds."""
     rng = np.random.default_rng(seed)
-    n, m = 9, 6
-    B, A = rng.normal(size=(n, n)), rng.normal(size=(m, n))
-    P = B.T @ B
-    u = rng.normal(size=m)
-    l = np.where(np.arange(m) < 3, u, -INF)  # noqa: E741 - as in QuadraticProgram
-    ones = 5.0 * np.ones(n)
-    qp = QuadraticProgram(0.5 * (P + P.T), rng.normal(size=n), A, l, u, -ones, ones)
+    B, A, u = rng.normal(size=(9, 9)), rng.normal(size=(6, 9)), rng.normal(size=6)
+    limits = np.where(np.arange(6) < 3, u, -INF), u, [-5.0] * 9, [5.0] * 9
+    P = 0.5 * (B.T @ B + (B.T @ B).T)
+    qp = QuadraticProgram(P, rng.normal(size=9), A, *limits)
     joint = JointQP.of(qp)
-    start = np.zeros(n + m, dtype=np.int8)
+    start = np.zeros(15, dtype=np.int8)
     exact = rational_certificate(joint, ExactMatrices.of(joint.P, joint.C), start)
-    assert exact is not None
-    if exact.kind == "infeasible":
-        assert _resort(qp) is None
-        return
     proof = _resort(qp)
-    assert proof is not None
+    assert exact is not None and (proof is None) is (exact.kind == "infeasible")
+    if proof is None:
+        return
     assert np.abs(proof.z - exact.z).max() <= proof.bound + exact.bound
     assert proof.bound <= BOUND
 
@@ -224,22 +219,17 @@ def test_every_active_set(q: tuple[float, float], rank: int) -> None:
         exact = ExactMatrices.of(P, C)
         found = enclosure_certificate(problem, exact, system, inward, convex=True)
         if found is not None:
-            assert best is not None
-            assert (np.abs(found.z - [best, 0.25 - best]) <= found.bound).all()
+            assert best is not None and (np.abs(found.z - [best, 0.25 - best]) <= found.bound).all()
             bounds.append(found.bound.max())
     assert best is None or min(bounds) <= 1e-12
 
 
 def _cycle(change: float = 0.0) -> JointQP:
     """Rows z_1 ≥ z_2 ≥ … ≥ z_5 ≥ z_1 (all equal), an equality row twice, and an empty row."""
-    n = 5
-    A = np.vstack(
-        (np.eye(n) - np.roll(np.eye(n), 1, axis=1), np.ones(n), 3.0 * np.ones(n), np.zeros(n))
-    )
-    l = np.array([0.0, 0.0, 0.0, 0.0, -change, 2.0, 6.0, -1.0])  # noqa: E741 - as in QuadraticProgram
-    u = np.array([INF] * 5 + [2.0, 6.0, 1.0])
-    free = np.full(n, INF)
-    return JointQP.of(QuadraticProgram(np.eye(n), np.arange(n), A, l, u, -free, free))
+    eye, ones, free = np.eye(5), np.ones(5), np.full(5, INF)
+    A = np.vstack((eye - np.roll(eye, 1, axis=1), ones, 3.0 * ones, 0.0 * ones))
+    limits = [0.0] * 4 + [-change, 2.0, 6.0, -1.0], [INF] * 5 + [2.0, 6.0, 1.0]
+    return JointQP.of(QuadraticProgram(eye, np.arange(5), A, *limits, -free, free))
 
 
 def test_implied_equalities_are_found_exactly() -> None:

@@ -27,7 +27,7 @@ CONSISTENT = 1e-6  # relative error of Aᵀy + y_box = 0 in a claimed vector
 DENOMINATORS = (1, 12, 60, 1000)  # of fractions near a vector, tried in turn
 
 
-def crossed(qp: QuadraticProgram) -> Vector | None:
+def crossed_limits_vector(qp: QuadraticProgram) -> Vector | None:
     """Return the unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
     problem = JointQP.of(qp)
     crossing = np.flatnonzero(problem.L > problem.U)
@@ -79,7 +79,7 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     From a linear program over the signed parts of (y, y_box), normalised to sum 1, then verified
     exactly; with infinite bounds also as small fractions, since Aᵀy = 0 has to be exact there.
     """
-    unit = crossed(qp)
+    unit = crossed_limits_vector(qp)
     if unit is not None:
         return unit[: qp.m], unit[qp.m :]
     problem = JointQP.of(qp)
