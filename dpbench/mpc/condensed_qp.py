@@ -137,15 +137,8 @@ class CondensedQP:
         theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
         # numpy.dot(Z, theta): emitting is measured against the bare product.
-        self._parts = (
-            theta[at.x],
-            theta[at.y_ref],
-            theta[at.u_prev],
-            theta,
-            self.Z.dot,
-            self.n,
-            self.n + self.m,
-        )
+        parts = theta[at.x], theta[at.y_ref], theta[at.u_prev]
+        self._parts = (*parts, theta, self.Z.dot, self.n, self.n + self.m)
         problem, N_c, r = self.control, self.control.N_c, len(self.control.G)
         first = r if self.amplitude == "soft" else 0
         self._shape, self._row_shape = (N_c, self.block), (N_c, self.m // N_c)

@@ -99,15 +99,10 @@ def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> C
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
         slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
-    return ConstraintBlock(
-        np.concatenate((sums, sums), axis=1),
-        np.vstack((-own, own)),
-        np.concatenate((unlimited(high, -1.0), low), axis=1),
-        np.concatenate((high, unlimited(low, 1.0)), axis=1),
-        np.concatenate((unit, unit)),
-        slack_unit,
-        rho,
-    )
+    rows = np.concatenate((sums, sums), axis=1), np.vstack((-own, own))
+    lower = np.concatenate((unlimited(high, -1.0), low), axis=1)
+    upper = np.concatenate((high, unlimited(low, 1.0)), axis=1)
+    return ConstraintBlock(*rows, lower, upper, np.concatenate((unit, unit)), slack_unit, rho)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,13 +101,9 @@ def planted(recipe: RandomRecipe) -> Planted:
             step = _make_infeasible(frame, step, int(rng.integers(recipe.m)), k)
         steps.append(step)
     first = steps[0]
-    base = QuadraticProgram(
-        frame.P, first.q, frame.A, first.l, first.u, frame.lb, frame.ub, recipe.block
-    )
-    q, l, u, z, y, y_box = (  # noqa: E741 - as in QuadraticProgram
-        np.array([getattr(step, name) for step in steps])
-        for name in ("q", "l", "u", "z", "y", "y_box")
-    )
+    limits = first.l, first.u, frame.lb, frame.ub
+    base = QuadraticProgram(frame.P, first.q, frame.A, *limits, recipe.block)
+    q, l, u, z, y, y_box = (np.array(part) for part in zip(*steps, strict=True))  # noqa: E741
     sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
     return Planted(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
 
@@ -140,8 +137,7 @@ class _Frame:
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
+class _Step(NamedTuple):
     """One step with its optimum, or its Farkas vector beside z = NaN."""
 
     q: Vector
@@ -154,10 +150,8 @@ class _Step:
 
 def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
     n, m = recipe.n, recipe.m
-    if family.semidefinite:
-        P = semidefinite_cost(rng, n, n - max(1, n // 5))
-    else:
-        P = definite_cost(rng, n, recipe.cond or family.cond)
+    rank, cond = n - max(1, n // 5), recipe.cond or family.cond
+    P = semidefinite_cost(rng, n, rank) if family.semidefinite else definite_cost(rng, n, cond)
     A = unit_rows(rng, m, n)
     twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
     for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
@@ -173,18 +167,11 @@ def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
         equal[rng.permutation(m)[: min(round(family.equal * m), max(1, n // 3))]] = True
     upper_kept = rng.random(m) < 0.5
     open_lo, open_hi = (rng.random(n) < family.open_bounds for _ in range(2))
-    return _Frame(
-        P,
-        A,
-        lo=-round_to_grid(rng.uniform(0.5, 1.5, n), POINT),
-        hi=round_to_grid(rng.uniform(0.5, 1.5, n), POINT),
-        half=round_to_grid(rng.uniform(0.25, 1.0, m), POINT),
-        above=np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi)),
-        below=np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo)),
-        equal=equal,
-        twin=twin,
-        sign=sign,
-    )
+    ends = (0.5, 1.5, n), (0.5, 1.5, n), (0.25, 1.0, m)
+    lo, hi, half = (round_to_grid(rng.uniform(*interval), POINT) for interval in ends)
+    above = np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi))
+    below = np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo))
+    return _Frame(P, A, -lo, hi, half, above, below, equal, twin, sign)
 
 
 def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:

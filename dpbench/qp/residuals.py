@@ -22,9 +22,9 @@ from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
+# How much nearer the other limit must be for a multiplier to count as on the wrong side: below it
+# a solver cannot distinguish the two limits of an equality-like row.
 OPPOSITE = 1e-6
-"""How much nearer the other limit must be before a multiplier counts as on the wrong side: below
-it the two limits of an equality-like row cannot be told apart by a solver."""
 Number = TypeVar("Number", float, Vector)
 
 

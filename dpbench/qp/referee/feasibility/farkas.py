@@ -88,9 +88,7 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     if not len(cost):
         return None
     balance = np.concatenate((problem.C[upper], -problem.C[lower])).T
-    answer = linprog(
-        cost, A_eq=balance, b_eq=np.zeros(qp.n), A_ub=np.ones((1, len(cost))), b_ub=[1.0]
-    )
+    answer = linprog(cost, np.ones((1, len(cost))), [1.0], balance, np.zeros(qp.n))
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     both = np.zeros(len(problem.L))
@@ -152,14 +150,8 @@ def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))
-    answer = linprog(
-        qp.q,
-        A_eq=qp.P,
-        b_eq=np.zeros(qp.n),
-        A_ub=cone if len(cone) else None,
-        b_ub=np.zeros(len(cone)) if len(cone) else None,
-        bounds=(-1.0, 1.0),
-    )
+    within = (cone, np.zeros(len(cone))) if len(cone) else (None, None)
+    answer = linprog(qp.q, *within, qp.P, np.zeros(qp.n), bounds=(-1.0, 1.0))
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     candidates = chain((answer.x,), _fractions(answer.x))

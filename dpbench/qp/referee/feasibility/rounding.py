@@ -213,13 +213,12 @@ def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Ve
     A /= unit
     scale = np.maximum(np.abs(A).max(axis=1, initial=0.0), UNDERFLOW)
     n = G.shape[1]
-    answer = linprog(
-        np.append(np.zeros(n), 1.0),
-        A_ub=A / scale[:, np.newaxis],
-        b_ub=slack[near] / scale,
-        bounds=[(None, None)] * n + [(0.0, None)],
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    tolerances = dict.fromkeys(
+        ("primal_feasibility_tolerance", "dual_feasibility_tolerance"), 1e-10
     )
+    bounds = [(None, None)] * n + [(0.0, None)]
+    scaled = A / scale[:, np.newaxis], slack[near] / scale
+    answer = linprog(np.eye(n + 1)[n], *scaled, bounds=bounds, options=tolerances)
     if answer.x is None:
         return None
     y = np.zeros(len(slack))
