@@ -118,7 +118,7 @@ class RelinearisedQP(CondensedQP):
 
     def _build_at(self, turn_rad: float) -> CondensedQP:
         form = Form(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
-        return CondensedQP(self.control.rotate(turn_rad), **form, penalty=self.penalty)
+        return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
     def _verify_series(self, check: CondensedQP) -> None:
         for name, series in self._series.items():

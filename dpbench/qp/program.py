@@ -244,7 +244,9 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
     problem = QuadraticProgram(**own, block=base.block, moves=base.moves)
     # The same factors for all steps: they are those of the last axes.
     parts = {name: getattr(scaled, name) for name in ARRAYS}
-    steps = {name: None if part is None else part * factor[name] for name, part in parts.items()}
+    steps: dict[str, Any] = {
+        name: None if part is None else part * factor[name] for name, part in parts.items()
+    }
     return replace(
         scaled, base=problem, units=units, scaled=scaled, sparse_equivalent=None, **steps
     )

@@ -164,13 +164,14 @@ def _copy_answer(answer: Any, n: int, m: int) -> Solution:
     status: Any = answer.status
     if type(status) is not Status:
         raise _MalformedError(f"status is {_describe_type(status)}, not a Status")
-    sizes = {"z": n, "y": m, "y_box": n}
-    arrays = [_copy_array(name, getattr(answer, name), size) for name, size in sizes.items()]
-    counts = [_read_integer(name, getattr(answer, name)) for name in ("iterations", "reported_ns")]
+    z, y = _copy_array("z", answer.z, n), _copy_array("y", answer.y, m)
+    y_box = _copy_array("y_box", answer.y_box, n)
+    iterations = _read_integer("iterations", answer.iterations)
+    reported_ns = _read_integer("reported_ns", answer.reported_ns)
     detail: Any = answer.detail
     if type(detail) is not str:
         raise _MalformedError(f"detail is {_describe_type(detail)}, not text")
-    return Solution(status, *arrays, *counts, detail)
+    return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 
 
 def _copy_array(name: str, value: Any, size: int) -> Vector:

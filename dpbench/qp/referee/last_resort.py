@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog, nnls
@@ -375,9 +376,12 @@ def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vect
     n, k = inside.shape[1], len(inside)
     E = problem.C[system.rows[~own]]
     A_ub = np.block([[inside, np.zeros((k, 1))], [-inside, -np.ones((k, 1))]])
-    along = (np.column_stack((E, np.zeros(len(E)))), np.zeros(len(E))) if len(E) else (None, None)
     bounds = [(None, None)] * n + [(0.0, LARGEST)]
-    answer = linprog(np.eye(n + 1)[n], A_ub, np.repeat([-1.0, 0.0], k), *along, bounds)
+    along: dict[str, Any] = {}
+    if len(E):
+        along = {"A_eq": np.column_stack((E, np.zeros(len(E)))), "b_eq": np.zeros(len(E))}
+    b_ub = np.repeat([-1.0, 0.0], k)
+    answer = linprog(np.eye(n + 1)[n], A_ub=A_ub, b_ub=b_ub, bounds=bounds, **along)
     if answer.x is None:
         return None
     amounts[own] = -(G @ answer.x[:n])

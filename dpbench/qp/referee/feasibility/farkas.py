@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from itertools import chain
 from math import lcm
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -150,8 +151,8 @@ def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))
-    within = (cone, np.zeros(len(cone))) if len(cone) else (None, None)
-    answer = linprog(qp.q, *within, qp.P, np.zeros(qp.n), bounds=(-1.0, 1.0))
+    rows: dict[str, Any] = {"A_ub": cone, "b_ub": np.zeros(len(cone))} if len(cone) else {}
+    answer = linprog(qp.q, A_eq=qp.P, b_eq=np.zeros(qp.n), bounds=(-1.0, 1.0), **rows)
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     candidates = chain((answer.x,), _fractions(answer.x))

@@ -15,6 +15,8 @@ dropped it has the same feasible set and an active set beyond doubt.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import linprog
 
@@ -111,9 +113,12 @@ def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) 
     G = side[:, np.newaxis] * problem.C[rows]
     E = problem.C[equal]
     cost, bounds = np.repeat([0.0, -1.0], [n, k]), [(None, None)] * n + [(0.0, 1.0)] * k
-    inside = (np.hstack((G, np.eye(k))), np.zeros(k)) if k else (None, None)
-    along = (np.hstack((E, np.zeros((len(E), k)))), np.zeros(len(E))) if len(E) else (None, None)
-    answer = linprog(cost, *inside, *along, bounds)
+    constraints: dict[str, Any] = {}
+    if k:
+        constraints |= {"A_ub": np.hstack((G, np.eye(k))), "b_ub": np.zeros(k)}
+    if len(E):
+        constraints |= {"A_eq": np.hstack((E, np.zeros((len(E), k)))), "b_eq": np.zeros(len(E))}
+    answer = linprog(cost, bounds=bounds, **constraints)
     if answer.x is None:
         return None
     weights = np.zeros(len(problem.L))

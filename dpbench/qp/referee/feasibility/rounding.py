@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -213,7 +214,7 @@ def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Ve
     A /= unit
     scale = np.maximum(np.abs(A).max(axis=1, initial=0.0), UNDERFLOW)
     n = G.shape[1]
-    tolerances = dict.fromkeys(
+    tolerances: Any = dict.fromkeys(
         ("primal_feasibility_tolerance", "dual_feasibility_tolerance"), 1e-10
     )
     bounds = [(None, None)] * n + [(0.0, None)]
