@@ -1,7 +1,6 @@
-"""`CondensedQP`: the builder that emits the QP of every step of the DP controller.
+"""`CondensedQP`: the builder of the QP of every step of the DP controller.
 
-A constructor that may be slow, and `emit`, which may not: one product Z [θ; 1] into fresh memory
-and three views of it.
+The constructor may be slow; `emit` is one product Z [θ; 1] into fresh memory and three views of it.
 """
 
 from __future__ import annotations
@@ -28,14 +27,13 @@ from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, a
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
+# Policy of amplitude limits for plan row i: `reachable`, as far as the rate can follow them;
+# `hard`, the limits, though no plan may satisfy them; `soft`, with a slack at an exact penalty.
 Amplitude = Literal["reachable", "hard", "soft"]
-"""What amplitude limits that `emit` is given mean for plan row i: `reachable`, the limits or what
-the rate leaves of them; `hard`, the limits, though no plan may satisfy them; `soft`, the limits
-with a slack at an exact penalty."""
 
 
 class Form(TypedDict, total=False):
-    """What the constructors of all condensed QPs take by name; see `CondensedQP`."""
+    """Keyword arguments of all condensed QPs; see `CondensedQP`."""
 
     units: UnitSystem
     amplitude: Amplitude
@@ -93,11 +91,10 @@ class CondensedQP:
         return self._matrices
 
     def _build_plain(self) -> None:
-        """The paper's problem: rate limits as bounds, amplitude limits as rows."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
-        # To join copies takes a fraction of what numpy.tile does.
+        # Joining copies takes a fraction of the time of numpy.tile.
         du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
         if self.units == "scaled":
             own, du, rows = one, du_max, np.ones(self.m)
@@ -113,11 +110,11 @@ class CondensedQP:
         self.Z: Matrix = affine_map(problem, self._matrices, self.units)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
-        """Rows that a more special problem has on top, behind all others of a move."""
+        """Return further rows of a subclass, behind all others of a move."""
         return []
 
     def _add_blocks(self, extra: list[ConstraintBlock]) -> None:
-        """The same moves with soft amplitude limits, bounds on the outputs, or both."""
+        """Rebuild the problem with soft amplitude limits, output bounds or further rows."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), affine_map(problem, matrices, "scaled")
@@ -130,9 +127,9 @@ class CondensedQP:
         built = assemble(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape
-        scaled = Units(np.ones(self.n), np.ones(self.m))
-        self.scale = scaled if self.units == "scaled" else built.si
-        own = built if self.units == "scaled" else built.in_si()
+        own, self.scale = built, Units(np.ones(self.n), np.ones(self.m))
+        if self.units == "si":
+            own, self.scale = built.in_si(), built.si
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
@@ -140,15 +137,8 @@ class CondensedQP:
         theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
         # numpy.dot(Z, theta): emitting is measured against the bare product.
-        self._parts = (
-            theta[at.x],
-            theta[at.y_ref],
-            theta[at.u_prev],
-            theta,
-            self.Z.dot,
-            self.n,
-            self.n + self.m,
-        )
+        parts = theta[at.x], theta[at.y_ref], theta[at.u_prev]
+        self._parts = (*parts, theta, self.Z.dot, self.n, self.n + self.m)
         problem, N_c, r = self.control, self.control.N_c, len(self.control.G)
         first = r if self.amplitude == "soft" else 0
         self._shape, self._row_shape = (N_c, self.block), (N_c, self.m // N_c)
@@ -162,14 +152,9 @@ class CondensedQP:
             self._ramp_down = LimitRampDown(problem.thrusters, *rates, N_c, factor=self._row_unit)
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step (eq. 20-24), in memory of its own.
+        """Return the QP of one step (eq. 20-24), in memory of its own.
 
         Parameters
         ----------
@@ -179,7 +164,7 @@ class CondensedQP:
         limits : those in force from now on instead of the vessel's, (r,) each. Under the policy
             `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because a limit that
             drops below u_prev by more than one rate step leaves no feasible point. A thruster whose
-            limits drop may retreat straight to nothing (`LimitRampDown`).
+            limits drop may retreat straight to zero (`LimitRampDown`).
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -195,7 +180,7 @@ class CondensedQP:
         return step
 
     def _preview(self, step: QPStep, y_ref: Matrix) -> None:
-        """Replace the reference held at y_ref[0] by the previewed one, (N_p, n_y)."""
+        """Replace the constant reference y_ref[0] by the previewed one, (N_p, n_y)."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]
@@ -212,11 +197,10 @@ class CondensedQP:
             step.u.reshape(self._row_shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
-        """F_y (N_c·n_u, N_p·n_y) in SI units."""
+        """Return F_y (N_c·n_u, N_p·n_y) in SI units."""
         return self._matrices.F_y
 
     def _limit(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
-        """Write amplitude limits other than the vessel's, as the policy says."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write(u_prev, limits, step.l, step.u)
@@ -230,26 +214,26 @@ class CondensedQP:
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of one step."""
+        """Return the whole problem of one step."""
         P = self.P if step.P is None else step.P
         A = self.A if step.A is None else step.A
-        n_u = len(self._du)
-        moves = n_u if self.block > n_u else 0
-        vectors = step.q, A, step.l, step.u, self.lb, self.ub
-        return QuadraticProgram(P, *vectors, block=self.block, moves=moves)
+        moves = len(self._du) if self.block > len(self._du) else 0
+        return QuadraticProgram(
+            P, step.q, A, step.l, step.u, self.lb, self.ub, block=self.block, moves=moves
+        )
 
     def moves(self, z: Vector) -> Matrix:
-        """ΔU as increments (N_c, n_u) in N, N, N·m."""
+        """Return ΔU as increments (N_c, n_u) in N, N, N·m."""
         return z.reshape(self._shape)[self._moves] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
-        """z of the increments (N_c, n_u) in N, N, N·m: the inverse of `moves`, with no slack."""
+        """Return z of the increments (N_c, n_u) in N, N, N·m, with zero slacks."""
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
     def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
-        """J0 (eq. 24): objective(z) + J0 is the predicted cost J of eq. 17; u_prev matters to W."""
+        """Return J0 (eq. 24): objective(z) + J0 is the cost J of eq. 17; u_prev enters by W."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

@@ -30,7 +30,7 @@ F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1
 ([[22.0, 10.0], [10.0, 6.0]], [42.0, 20.0], [-7.0, -3.0])
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
 from __future__ import annotations
@@ -39,13 +39,12 @@ import numpy as np
 
 from dpbench.kernel_cache import njit
 
-TILE = 32
-"""Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache."""
+TILE = 32  # Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache
 
 
 @njit(cache=True)
 def product(X, Y, out):
-    """out = X Y."""
+    """Write out = X Y."""
     for i in range(X.shape[0]):
         for j in range(Y.shape[1]):
             total = 0.0
@@ -56,7 +55,7 @@ def product(X, Y, out):
 
 @njit(cache=True)
 def markov_blocks(A, B, C, F, h):
-    """F_t = C A^{t+1} and h_t = C A^t B by G_{t+1} = G_t A (eq. 15)."""
+    """Write F_t = C A^{t+1} and h_t = C A^t B by G_{t+1} = G_t A, without powers (eq. 15)."""
     N_p, n_y = h.shape[0], h.shape[1]
     G = C.copy()
     for t in range(N_p):
@@ -68,7 +67,7 @@ def markov_blocks(A, B, C, F, h):
 
 @njit(cache=True)
 def _accumulate(left, right, out):
-    """out += leftᵀ right."""
+    """Add leftᵀ right to out."""
     for a in range(left.shape[1]):
         for b in range(right.shape[1]):
             total = 0.0
@@ -79,7 +78,7 @@ def _accumulate(left, right, out):
 
 @njit(cache=True)
 def hessian_blocks(h, Q, R, N_c, E):
-    """E = Φᵀ Q̄ Φ + R̄ (eq. 24), symmetric to the last bit, without forming Φ.
+    """Write E = Φᵀ Q̄ Φ + R̄ (eq. 24), symmetric to the last bit, without forming Φ.
 
     Last block row by sums over the horizon, the others along the block diagonals,
     E_ij = E_{i+1,j+1} + h_{N_p−1−i}ᵀ Q h_{N_p−1−j}: the work grows like the output.
@@ -120,10 +119,7 @@ def hessian_blocks(h, Q, R, N_c, E):
 
 @njit(cache=True)
 def _mirror(E):
-    """Copy the part below the diagonal above it, tile by tile.
-
-    Row by row, each write would be to another line of the cache.
-    """
+    """Copy the lower triangle to the upper one, tile by tile: rows would miss the cache."""
     n = E.shape[0]
     for top in range(0, n, TILE):
         for left in range(0, top + 1, TILE):
@@ -134,7 +130,7 @@ def _mirror(E):
 
 @njit(cache=True)
 def gradient_blocks(h, F, Q, F_x, F_held):
-    """F_x = Φᵀ Q̄ F and F_held = −Φᵀ Q̄ D (eq. 24), D stacking N_p identities (eq. 16)."""
+    """Write F_x = Φᵀ Q̄ F, F_held = −Φᵀ Q̄ D (eq. 24), D of N_p stacked identities (eq. 16)."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
@@ -145,7 +141,7 @@ def gradient_blocks(h, F, Q, F_x, F_held):
     for j in range(N_c):
         for t in range(N_p - j):
             for a in range(n_u):
-                # The states innermost, as they lie in memory: this is what takes time here.
+                # The states innermost, as in memory: most of the time is spent here.
                 part[:] = 0.0
                 for k in range(n_y):
                     weight = h[t, k, a]
@@ -166,7 +162,7 @@ def gradient_blocks(h, F, Q, F_x, F_held):
 
 @njit(cache=True)
 def condense_blocks(A, B, C, Q, R, N_p, N_c):
-    """Everything constant in eq. 15-24: E, F_x, F_held, F, h."""
+    """Return all constants of eq. 15-24: E, F_x, F_held, F, h."""
     n_x, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
     F = np.empty((N_p * n_y, n_x))
     h = np.empty((N_p, n_y, n_u))
@@ -181,7 +177,7 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
 
 @njit(cache=True)
 def summed_blocks(G, rows):
-    """rows (N_c·r, N_c·n_u) = (I ⊗ G) C2, C2 block lower-triangular ones (eq. 19)."""
+    """Write rows (N_c·r, N_c·n_u) = (I ⊗ G) C2, C2 block lower-triangular ones (eq. 19)."""
     r, n_u = G.shape
     n = rows.shape[1]
     all_moves = np.empty((r, n))
@@ -199,7 +195,7 @@ def summed_blocks(G, rows):
 
 @njit(cache=True, error_model="numpy")
 def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
-    """Limits (r,) as far as the rate can follow them into the first r rows of each move in l, u.
+    """Write the limits (r,), as far as the rate can follow, into each move's first rows in l, u.
 
     In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
     bound meets it to the last bit and no rounding makes the step infeasible.
@@ -215,7 +211,7 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 @njit(cache=True)
 def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
-    """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).
+    """Return Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).
 
     `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.
     """

@@ -24,9 +24,9 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """K_y (n_u, n_y), K_mpc (n_u, n_x) of eq. 33; K_mpc = [K_x K_y].
+    """K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of eq. 33.
 
-    K_u (n_u, n_u) takes − K_u u(k−1) into the law where the force itself is weighed; None else.
+    K_u (n_u, n_u) adds − K_u u(k−1) to the law where the force itself is weighed; else None.
     """
 
     K_y: Matrix
@@ -35,12 +35,12 @@ class Gains:
 
 
 def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
-    """ΔU (n,) of eq. 27 in SI units, for the stacked reference Y_d (N_p·n_y,)."""
+    """Return ΔU (n,) of eq. 27 in SI units, for the stacked reference Y_d (N_p·n_y,)."""
     return -scipy.linalg.solve(matrices.E, matrices.F_x @ x + matrices.F_y @ Y_d, assume_a="pos")
 
 
 def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) -> Gains:
-    """The state feedback of eq. 33."""
+    """Return the state feedback of eq. 33."""
     matrices = condense_matrices(problem) if matrices is None else matrices
     n_u, n_y, n_x = problem.model.n_u, problem.model.n_y, problem.model.n_x
     slopes = np.hstack([-matrices.F_held, matrices.F_x, matrices.F_u])
@@ -50,7 +50,7 @@ def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) ->
 
 
 class UnconstrainedLaw:
-    """Δu (n_u,) of eq. 33, with the gains of a builder's matrices, which may turn with the ship."""
+    """Δu (n_u,) of eq. 33, with the gains of a builder's matrices at its heading."""
 
     def __init__(self, builder: CondensedQP) -> None:
         self._builder = builder
@@ -67,11 +67,11 @@ class UnconstrainedLaw:
 
 
 def closed_loop(model: StateSpace, law: Gains) -> Matrix:
-    """A − B K_mpc (n_x, n_x) of eq. 34."""
+    """Return A − B K_mpc (n_x, n_x) of eq. 34."""
     return model.A - model.B @ law.K_mpc
 
 
 def closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
-    """Roots of eq. 35, by falling modulus."""
+    """Return the roots of eq. 35, by falling modulus."""
     roots = np.linalg.eigvals(closed_loop(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]

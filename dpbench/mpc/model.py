@@ -19,20 +19,18 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import shaped
+from dpbench.qp.program import check_shape
 from dpbench.ship.layout import AXES
 
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
 """Δν, Δη and y = η in the state x of a ship's incremental model."""
 SHIP_STATES = 3 * AXES
-HEADING = SHIP_STATES - 1
-"""The measured heading in x."""
-HORIZONTAL = slice(0, 2)
-"""North and east among the outputs."""
+HEADING = SHIP_STATES - 1  # The measured heading in x
+HORIZONTAL = slice(0, 2)  # North and east among the outputs
 
 
 class ThetaLayout(NamedTuple):
-    """Where the parts of [θ; 1] = [x; y_ref; u_prev; 1] stand, and its length."""
+    """Slices of the parts of [θ; 1] = [x; y_ref; u_prev; 1], and its length."""
 
     x: slice
     y_ref: slice
@@ -42,7 +40,7 @@ class ThetaLayout(NamedTuple):
 
 
 def rotation(psi_rad: float) -> Matrix:
-    """R(ψ) (3, 3) from the body to the NED frame (paper eq. 3)."""
+    """Return R(ψ) (3, 3) from the body to the NED frame (paper eq. 3)."""
     c, s = np.cos(psi_rad), np.sin(psi_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -58,7 +56,7 @@ class StateSpace:
     def __post_init__(self) -> None:
         n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
         for name, shape in {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}.items():
-            array = shaped("StateSpace", name, getattr(self, name), shape)
+            array = check_shape("StateSpace", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @property
@@ -78,7 +76,7 @@ class StateSpace:
 
     @property
     def theta(self) -> ThetaLayout:
-        """The layout of what a step of this model depends on."""
+        """Layout of the parameters of a step of this model."""
         reference, force = self.n_x, self.n_x + self.n_y
         one = force + self.n_u
         parts = slice(0, reference), slice(reference, force), slice(force, one)
@@ -86,7 +84,7 @@ class StateSpace:
 
 
 def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
-    """The continuous model A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
+    """Return the continuous A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
     zero = np.zeros((AXES, AXES))
     A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
@@ -95,10 +93,10 @@ def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
 
 
 def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
-    """Exact zero-order hold (paper eq. 9-10) by one matrix exponential.
+    """Return the exact zero-order hold (paper eq. 9-10) by one matrix exponential.
 
-    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]]
-    (Van Loan 1978, IEEE Trans. Automat. Contr. 23(3)).
+    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE Trans. Automat. Contr.
+    23(3)).
     """
     n_x, n_u = continuous.n_x, continuous.n_u
     block = np.zeros((n_x + n_u, n_x + n_u))
@@ -111,7 +109,7 @@ def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
 
 
 def augment(discrete: StateSpace) -> StateSpace:
-    """The incremental model A, B, C on x = [Δx_m; y] (paper eq. 11)."""
+    """Return the incremental model A, B, C on x = [Δx_m; y] (paper eq. 11)."""
     A_m, B_m, C_m = discrete.A, discrete.B, discrete.C
     n_x, n_y = discrete.n_x, discrete.n_y
     A = np.block([[A_m, np.zeros((n_x, n_y))], [C_m @ A_m, np.eye(n_y)]])
@@ -121,10 +119,7 @@ def augment(discrete: StateSpace) -> StateSpace:
 
 
 def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0.
-
-    Made once for all runs in a process that share it.
-    """
+    """Return the incremental model of a ship at heading ψ0 (eq. 5-11), cached."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
     return _model_of(inertia, damping, psi0_rad, sample_s)
 
@@ -135,21 +130,17 @@ def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpac
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
-def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
-    """The incremental model of a ship, linearised `turn_rad` further, without a new exponential.
+def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
+    """Return the incremental model of a ship linearised `turn_rad` further.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y
-    whole, only their rows over Δν, and those of B, change: both are linear in R.
-
-    Parameters
-    ----------
-    model : (9 states, 3 outputs) of `prediction_model`, at any heading.
-    turn_rad : by how much the heading of linearisation moves.
+    whole, only their rows over Δν, and those of B, change: both are linear in R. `model` has the 9
+    states and 3 outputs of `prediction_model`.
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
-        raise ShapeError.of("rotated", "model", sizes, "the 9 states and 3 outputs of a ship")
+        raise ShapeError.of("rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship")
     R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]

@@ -1,4 +1,4 @@
-"""From a planned move to the force that is applied: limits of rate and amplitude (method.md 3)."""
+"""Limits of rate and amplitude between a planned move and the applied force (method.md 3)."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ CLIP_TOLERANCE = 1e-9
 
 
 class MoveLimit(Protocol):
-    """Keeps a move to the limits, the applied force in `applied`; true if that changed anything.
+    """Limits a move, writes the applied force and returns whether anything was cut.
 
     u (n_u,) the force applied before; du (n_u,) the move; limits : those in force.
     """
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the force that is applied."""
+        """Write the applied force."""
 
 
 def move_limit(problem: ControlProblem) -> MoveLimit:
-    """Return what limits the moves of a problem: axis by axis, or rows of thrusters as a whole."""
+    """Return the limiter of a problem: axis by axis, or thrusters as a whole."""
     if problem.thrusters is None:
         return AxisLimit(problem.du_max)
     return ThrusterLimit(problem.thrusters, problem.du_max)
@@ -39,14 +39,14 @@ class AxisLimit:
         self._du_max = du_max
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the force that is applied; true if that changed anything."""
+        """Write the applied force; return whether anything was cut."""
         clipped: bool = limit_move(self._du_max, u, du, limits.low, limits.high, applied)
         return clipped
 
 
 @njit(cache=True)
 def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """applied = clip(u + clip(Δu, ±Δu_max), reachable limits); true if that changed anything.
+    """Write applied = clip(u + clip(Δu, ±Δu_max), reachable limits); return whether it cut.
 
     The reachable limits of the first move are max(u_max, u − Δu_max) and min(u_min, u + Δu_max):
     rate before amplitude, so no actuator limit is ever violated by an inexact answer. A force
@@ -70,7 +70,7 @@ class ThrusterLimit:
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
     b is the force before or, where that is beyond a limit by now, the first step of its way back to
-    nothing (`LimitRampDown`); b and the clipped move keep to the rate, so all between them do.
+    zero (`LimitRampDown`); b and the clipped move keep to the rate, so all between them do.
     """
 
     def __init__(self, rows: ThrusterRows, du_max: Vector) -> None:
@@ -80,7 +80,7 @@ class ThrusterLimit:
         self._rounding = CLIP_TOLERANCE * self._row_max
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the forces that are applied; true if that changed anything."""
+        """Write the applied forces; return whether anything was cut."""
         rows, du_max = self._rows, self._du_max
         before = rows.G @ u
         u_min, u_max, _ = limits
@@ -105,5 +105,5 @@ class ThrusterLimit:
         return bool((np.abs(applied - u - du) > CLIP_TOLERANCE * du_max).any())
 
     def _at_rate(self, u: Vector, du: Vector) -> Vector:
-        """The move du (n_f,) cut to the rate limits, from u on."""
+        """Return the move du (n_f,) cut to the rate limits, from u on."""
         return np.clip(du, -self._du_max, self._du_max)

@@ -18,20 +18,18 @@ import numpy as np
 from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
-from dpbench.mpc.model import HORIZONTAL, ThetaLayout
+from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.soft_limits import ConstraintBlock, unlimited
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
 class OutputBounds:
-    """Where the ship may be and how fast it may go, predicted.
+    """Bounds on predicted position and speed.
 
-    Parameters
-    ----------
+    sample_s : ΔT.
     radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.
-    sample_s : ΔT.
     sides : K.
     """
 
@@ -42,7 +40,7 @@ class OutputBounds:
 
     @property
     def directions(self) -> Matrix:
-        """The outward normals d of the sides (K, 2)."""
+        """Outward normals d of the sides (K, 2)."""
         angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
         return np.column_stack((np.cos(angle), np.sin(angle)))
 
@@ -53,14 +51,14 @@ class OutputBounds:
 
 
 def instants(N_p: int, N_c: int) -> Indices:
-    """The N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
+    """Return the N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
     return np.arange(1, N_c + 1) * N_p // N_c
 
 
 def output_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
 ) -> list[ConstraintBlock]:
-    """The block of the watch circle and the one of the speed, whichever are asked for."""
+    """Return the blocks of the watch circle and of the speed, where bounded."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
@@ -72,7 +70,10 @@ def output_blocks(
     blocks = []
     if bounds.radius_m is not None:
         block = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
-        _centre(block, bounds, problem.model.theta)
+        # The circle is centred on the reference.
+        block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL] = (
+            bounds.directions / block.row_unit[0]
+        )
         blocks.append(block)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
@@ -89,9 +90,9 @@ def _polygon(
     radius: float,
     rho: float,
 ) -> ConstraintBlock:
-    """Sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
+    """Return sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
 
-    One unit of a row is what a full rate-limit step at k of the strongest axis does at the last
+    One unit of a row is the effect of a full rate-limit step at k of the strongest axis at the last
     instant; it is the same at every heading.
     """
     K, n_u, theta = bounds.sides, problem.model.n_u, problem.model.theta
@@ -102,12 +103,5 @@ def _polygon(
     high[:, :, theta.one] = bounds.inside * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
-    return ConstraintBlock(
-        rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho)
-    )
-
-
-def _centre(block: ConstraintBlock, bounds: OutputBounds, theta: ThetaLayout) -> None:
-    """Move the polygon of a block from the origin to the centre of the circle."""
-    d = bounds.directions / block.row_unit[0]
-    block.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d
+    low, rhos = unlimited(high, -1.0), np.full(K, rho)
+    return ConstraintBlock(rows, -np.eye(K), low, high, units, units, rhos)

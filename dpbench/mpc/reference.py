@@ -2,7 +2,7 @@
 
     η_d''' + (2ζ+1) ω η_d'' + (2ζ+1) ω² η_d' + ω³ η_d = ω³ η_r        (Fossen 2021, section 12.1.1)
 
-A third-order filter gives a reference with continuous acceleration, which a ship can follow.
+The third-order filter gives a reference with continuous acceleration, which a ship can follow.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ReferenceFilter:
 
 
 def nearest_pose(target: Vector, start: Vector) -> Vector:
-    """The pose `target` (3,), its heading within π of the start's: the error is wrapped once."""
+    """Return the pose `target` (3,) with its heading within π of the start's."""
     reference = target.copy()
     reference[YAW] = nearest_turn(target[YAW], start[YAW])
     return reference
@@ -41,12 +41,10 @@ def reference_table(
     sample_s: float,
     smoothed: ReferenceFilter | None = None,
 ) -> Matrix:
-    """The reference at each sample: (samples, 3) [m, m, rad], heading unwrapped.
+    """Return the reference at each sample: (samples, 3) [m, m, rad], heading unwrapped.
 
-    Parameters
-    ----------
-    start, target : (3,) poses; the filter begins at rest at the start.
-    smoothed : the filter; None for a set-point that is there from the first sample.
+    start, target : (3,) poses; the filter begins at rest at the start. smoothed : the filter; None
+    for a set-point from the first sample on.
     """
     goal = nearest_pose(target, start)
     table = np.tile(goal, (samples, 1))

@@ -4,8 +4,7 @@
     rows of a move        [rows of the blocks in turn]
     low [θ; 1] ≤ A_moves z + A_slack s ≤ high [θ; 1],   s ≥ 0,   cost ρᵀs + ½ ε sᵀs
 
-Every block brings the same rows and slacks to each move, so a number of variables and a number of
-rows per move shift a warm start.
+Every block adds the same rows and slacks to each move, so that a warm start can be shifted.
 
 The penalty is exact (Fletcher 1987, section 14.3): where the problem with hard rows is feasible and
 ρ exceeds the sum of the multipliers on the rows of a slack, s = 0 is optimal and the plan is that
@@ -14,7 +13,7 @@ of the hard problem, whatever ε, because εs vanishes at s = 0. ε > 0 only kee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,14 +24,11 @@ from dpbench.qp.program import Units
 
 @dataclass(frozen=True, eq=False)
 class Penalty:
-    """What a unit of slack costs, in scaled units.
+    """Costs of a unit of slack, in scaled units.
 
-    Parameters
-    ----------
     amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit; of thrusters
-        (p,), each of which has one slack for all its sides.
-    outputs : ρ of the output slacks, per unit of their rows.
-    curvature : ε.
+    (p,), each of which has one slack for all its sides. outputs : ρ of the output slacks, per unit
+    of their rows. curvature : ε.
     """
 
     amplitude: Vector
@@ -41,9 +37,9 @@ class Penalty:
 
     @classmethod
     def default(cls, problem: ControlProblem, P: Matrix) -> Penalty:
-        """Penalties above the multipliers' size, from the scaled P (n, n) of the moves.
+        """Return penalties above the multipliers' size, from the scaled P (n, n) of the moves.
 
-        A multiplier of an amplitude row is the slope of the cost along a force: what P makes of the
+        A multiplier of an amplitude row is the slope of the cost along a force: P times the
         distance d between the plan and the unconstrained one, at most ‖P_i‖_1 d while no rate limit
         acts. ρ takes d = ¼ (u_max − u_min)/Δu_max in every move, some 19 rate-limit steps: enough
         for offsets of 20 m or 25° under tuning `robust`, of 3.5 m or 15° under `paper`, with all
@@ -65,12 +61,9 @@ class Penalty:
 class ConstraintBlock:
     """r rows and s slacks per move.
 
-    Parameters
-    ----------
     A_moves : (N_c, r, N_c·n_u) coefficients of the moves; A_slack : (r, s) of the move's slacks.
     low, high : (N_c, r, n_θ + 1) limits as maps of [θ; 1]; ±inf in the last column.
-    row_unit, slack_unit : (r,), (s,) what one scaled unit is in SI.
-    rho : (s,) penalties.
+    row_unit, slack_unit : (r,), (s,) SI values of one scaled unit; rho : (s,) penalties.
     """
 
     A_moves: Floats
@@ -83,14 +76,14 @@ class ConstraintBlock:
 
 
 def unlimited(like: Floats, sign: float) -> Floats:
-    """The map of limits that are infinite whatever θ is."""
+    """Return the map of limits that are infinite whatever θ is."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf
     return rows
 
 
 def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
-    """Amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
+    """Return amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
     upper rows G C2 z − s ≤ u, then r lower rows G C2 z + s ≥ l.
@@ -106,20 +99,15 @@ def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> C
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
         slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
-    return ConstraintBlock(
-        np.concatenate((sums, sums), axis=1),
-        np.vstack((-own, own)),
-        np.concatenate((unlimited(high, -1.0), low), axis=1),
-        np.concatenate((high, unlimited(low, 1.0)), axis=1),
-        np.concatenate((unit, unit)),
-        slack_unit,
-        rho,
-    )
+    rows = np.concatenate((sums, sums), axis=1), np.vstack((-own, own))
+    lower = np.concatenate((unlimited(high, -1.0), low), axis=1)
+    upper = np.concatenate((high, unlimited(low, 1.0)), axis=1)
+    return ConstraintBlock(*rows, lower, upper, np.concatenate((unit, unit)), slack_unit, rho)
 
 
 @dataclass(frozen=True, eq=False)
 class AssembledBlocks:
-    """The matrices of a QP with blocks; `block` variables per move, `si` what a unit is in SI."""
+    """Matrices of a QP with blocks; `block` variables per move, `si` the units in SI."""
 
     P: Matrix
     A: Matrix
@@ -130,18 +118,11 @@ class AssembledBlocks:
     block: int
 
     def in_si(self) -> AssembledBlocks:
-        """The same problem with z and rows in SI units."""
+        """Return the same problem with z and rows in SI units."""
         z, row = self.si.z, self.si.row
-        stretch = np.concatenate((1.0 / z, row, row))[:, np.newaxis]
-        return AssembledBlocks(
-            self.P / np.outer(z, z),
-            self.A * row[:, np.newaxis] / z,
-            self.lb * z,
-            self.ub * z,
-            self.Z * stretch,
-            self.si,
-            self.block,
-        )
+        P, A = self.P / np.outer(z, z), self.A * row[:, np.newaxis] / z
+        Z = self.Z * np.concatenate((1.0 / z, row, row))[:, np.newaxis]
+        return replace(self, P=P, A=A, lb=self.lb * z, ub=self.ub * z, Z=Z)
 
 
 def assemble(

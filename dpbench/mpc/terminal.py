@@ -1,4 +1,4 @@
-"""The terminal cost: what the infinite horizon beyond the last predicted step would cost.
+"""Terminal cost: the cost of the infinite horizon beyond the last predicted step.
 
     S = AᵀSA − AᵀSB (R + BᵀSB)⁻¹ BᵀSA + CᵀQC                   (discrete algebraic Riccati equation)
     J ← J + ½ (x(N_p) − Cᵀy_d)ᵀ W (x(N_p) − Cᵀy_d),   W = S − CᵀQC
@@ -31,32 +31,30 @@ class TerminalCost:
 
     @property
     def E(self) -> Matrix:
-        """What it adds to E (n, n): Γᵀ W Γ, symmetric to the last bit."""
+        """Addition to E (n, n): Γᵀ W Γ, symmetric to the last bit."""
         E = self.Gamma.T @ self.W @ self.Gamma
         return 0.5 * (E + E.T)
 
     @property
     def F_x(self) -> Matrix:
-        """What it adds to F_x (n, n_x)."""
+        """Addition to F_x (n, n_x)."""
         return self.Gamma.T @ self.W @ self.A_N
 
     @property
     def F_y(self) -> Matrix:
-        """What it adds to the part of F_held, or F_y, of the last reference (n, n_y)."""
+        """Addition to the part of F_held, or F_y, of the last reference (n, n_y)."""
         return -self.Gamma.T @ self.W @ self.C.T
 
     def constant(self, x: Vector, y_d: Vector) -> float:
-        """What it adds to J0, for the reference y_d (n_y,) of the last step."""
+        """Return the addition to J0, for the reference y_d (n_y,) of the last step."""
         away = self.A_N @ x - self.C.T @ y_d
         return 0.5 * float(away @ self.W @ away)
 
 
 def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
-    """S (n_x, n_x) of the incremental model, found with the inputs in units of du_max (n_u,).
+    """Return S (n_x, n_x) of the incremental model, with the inputs in units of du_max (n_u,).
 
-    Raises
-    ------
-    InputError : when no stabilising solution exists, as for an output that no input steers.
+    InputError when no stabilising solution exists, as for an output that no input controls.
     """
     # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
     A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
@@ -77,7 +75,7 @@ def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
 def terminal_cost(
     model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector, N_p: int, N_c: int
 ) -> TerminalCost:
-    """The terminal cost of a horizon N_p with N_c moves."""
+    """Return the terminal cost of a horizon N_p with N_c moves."""
     n_u = model.n_u
     Gamma = np.empty((model.n_x, N_c * n_u))
     reached = np.linalg.matrix_power(model.A, N_p - N_c) @ model.B

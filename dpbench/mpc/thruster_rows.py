@@ -3,13 +3,13 @@
     −T cos(π/s) ≤ (cos a_k, sin a_k)·f_i ≤ T cos(π/s),   a_k = (2k + 1) π/s,   k = 0 … s/2 − 1
 
         a_1   ╱‾‾╲   a_0        s = 8: four rows in two-sided pairs, sides facing a_k and a_k + π;
-             │    │             corners ahead, abeam and between, so that full thrust T is to be
-        …     ╲__╱   …          had there, and T cos(π/s) at least anywhere else
+             │    │             corners ahead, abeam and between, where full thrust T is allowed,
+        …     ╲__╱   …          and T cos(π/s) at least anywhere else
 
-What satisfies the rows satisfies the circle; between corners the polygon gives away
-1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share a row, because one-sided rows bring
-infinite limits that some solvers take badly. A sector adds two rows through the origin, whose
-other side is T, which no force exceeds. Every other thruster has one row of its own.
+Between corners the polygon gives away 1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share
+a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds two
+rows through the origin, whose other side is T, which no force exceeds. Every other thruster has one
+row of its own.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
-NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)
-"""Of limits that no thruster stands behind."""
+NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)  # Of limits that belong to no thrusters
 
 
 class Limits(NamedTuple):
-    """Limits low, high (r,) of a force or of rows of thrusters, and which are lost (p,)."""
+    """Limits low, high (r,) of a force or of rows of thrusters; `lost` (p,) thrusters."""
 
     low: Vector
     high: Vector
@@ -40,15 +40,9 @@ class Limits(NamedTuple):
 class ThrusterRows:
     """low ≤ G f ≤ high, the limits of all thrusters; r rows, those of a thruster together.
 
-    Parameters
-    ----------
-    G : (r, n_f) rows, each of unit length on the entries of one thruster.
-    low, high : (r,) limits [N]; zero lies within.
-    thruster : (r,) the number of the thruster a row belongs to; entry : (n_f,) that of an entry.
-
-    Attributes
-    ----------
-    intact : the limits with no thruster lost.
+    G (r, n_f) : rows, each of unit length on the entries of one thruster.
+    low, high (r,) : limits [N]; zero lies within. intact : these limits with no thruster lost.
+    thruster (r,) : the number of the thruster a row belongs to; entry (n_f,) : that of an entry.
     """
 
     G: Matrix
@@ -63,21 +57,21 @@ class ThrusterRows:
         object.__setattr__(self, "intact", intact)
 
     def units(self, df_max: Vector) -> Vector:
-        """(r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
+        """Return (r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 
     def of_each(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """The largest value among the rows (r,), and among the entries (n_f,), of each thruster."""
+        """Return the largest value among the rows (r,) and the entries (n_f,) of each thruster."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
     def without(self, lost: Collection[int]) -> Limits:
-        """The limits in which the thrusters of these numbers are lost and give nothing.
+        """Return the limits in which the thrusters of these numbers are lost and give nothing.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
-        each other: all of them would say the same many times over.
+        each other: more would be redundant.
         """
         low, high = self.low.copy(), self.high.copy()
         for i in lost:
@@ -89,22 +83,17 @@ class ThrusterRows:
 
 
 def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
-    """The rows of a ship's thrusters, azimuths with an even number of sides."""
-    blocks = [_rows_of(thruster, sides) for thruster in thrusters.thrusters]
-    counts = [len(low) for _, low, _ in blocks]
-    G = np.zeros((sum(counts), thrusters.n_f))
-    first = 0
-    for (normals, low, _), place in zip(blocks, thrusters.places, strict=True):
-        G[first : first + len(low), place] = normals
-        first += len(low)
-    low, high = (np.concatenate([block[side] for block in blocks]) for side in (1, 2))
-    numbers = np.arange(len(blocks))
-    components = [thruster.components for thruster in thrusters.thrusters]
-    return ThrusterRows(G, low, high, np.repeat(numbers, counts), np.repeat(numbers, components))
+    """Return the rows of a ship's thrusters, azimuths with an even number of sides."""
+    normals, lows, highs = zip(*(_rows_of(t, sides) for t in thrusters.thrusters), strict=True)
+    numbers = np.arange(len(lows))
+    thruster = np.repeat(numbers, [len(low) for low in lows])
+    entry = np.repeat(numbers, [t.components for t in thrusters.thrusters])
+    G: Matrix = scipy.linalg.block_diag(*normals)
+    return ThrusterRows(G, np.concatenate(lows), np.concatenate(highs), thruster, entry)
 
 
 def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
-    """Normals (r_i, components), low and high (r_i,) of one thruster."""
+    """Return normals (r_i, components), low and high (r_i,) of one thruster."""
     if thruster.kind != "azimuth":
         most = np.array([thruster.thrust_N])
         return np.ones((1, 1)), -thruster.astern * most, most
@@ -120,15 +109,14 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
     return np.vstack((normals, edges)), low, high
 
 
+# Share of the rate at which limits of a lost thruster close in: plans keep some freedom, so that no
+# rounding decides whether there is one.
 RAMP_DOWN_SHARE = 0.9
-"""Share of the rate at which limits of a lost thruster close in, so that plans keep some freedom
-and no rounding decides whether there is one."""
-NEGLIGIBLE_STEPS = 0.05
-"""In rate-limit steps: what is left of a force that counts as nothing, well within that freedom."""
+NEGLIGIBLE_STEPS = 0.05  # A smaller rest of a force counts as zero, well within that freedom
 
 
 class LimitRampDown:
-    """How limits that dropped below a force close in, so that they stay reachable at its rate.
+    """Limits that dropped below a force, closing in so that they stay reachable at its rate.
 
         λ_i = 1 − 0.9 i Δf_max / |f| at move i, zero where hardly anything is left
         lost thruster:  all its rows at λ_i g of their intact limits, g the share that holds f now
@@ -138,11 +126,8 @@ class LimitRampDown:
     polygon of a lost thruster shrinks as a whole, with room inside until it is nothing: rows that
     end at zero alone would let its force go round their corners for ever.
 
-    Parameters
-    ----------
     rows : of the intact thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of
-        a row; N_c : moves.
-    factor : (r,) what limits in units of rows are multiplied by; None for 1.
+    a row; N_c : moves; factor : (r,) multiplies limits in units of rows, None for 1.
     """
 
     def __init__(
@@ -156,7 +141,7 @@ class LimitRampDown:
     ) -> None:
         (r, n_f), p = rows.G.shape, int(rows.entry[-1]) + 1
         self._shape = N_c, r
-        # One array, because a call costs most for its arguments.
+        # One array, because most of the time of a call goes to its arguments.
         table = np.zeros((G_FROM + n_f, max(r, n_f, p + 1)))
         table[LOW, :r], table[HIGH, :r] = rows.low, rows.high
         table[ROW_MAX, :r] = row_max
@@ -174,7 +159,7 @@ class LimitRampDown:
         return l, u
 
     def write(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
-        """Write them into the first r of the rows of each move in l and u (m,)."""
+        """Write the limits into the first r of the rows of each move in l and u (m,)."""
         _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
@@ -221,7 +206,7 @@ def _gauge(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba
     gauge = 0.0
     for k in range(first, end):
         along = table[ALONG, k]
-        # A sector's edge has zero for a limit: no share of it tells where f is.
+        # A sector's edge has zero for a limit, of which f is no share.
         limit = table[HIGH if along > 0.0 else LOW, k]
         if limit != 0.0:
             gauge = max(gauge, along / limit)

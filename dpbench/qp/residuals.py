@@ -1,12 +1,12 @@
-"""Residuals of an answer: what the referee measures without knowing the optimum.
+"""Residuals of an answer, which need no optimum.
 
     primal          = max(0, max(l − Az, Az − u, lb − z, z − ub))
     dual            = ‖r‖_∞,  r = Pz + q + Aᵀy + y_box
     complementarity = max_i |y_i|·|slack_i| towards the limit that the sign of y_i names
     gap             = Σ_i |y_i|·|slack_i| + |zᵀr|
 
-The gap is an upper bound of |primal − dual objective| (the identity is p − d = Σ y⁺(u − Az) +
-Σ y⁻(Az − l) + box terms + zᵀr), summed without cancellation, hence never negative.
+The gap is an upper bound of |primal − dual objective| (p − d = Σ y⁺(u − Az) + Σ y⁻(Az − l) + box
+terms + zᵀr), summed without cancellation, hence never negative.
 """
 
 from __future__ import annotations
@@ -22,18 +22,15 @@ from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
+# How much nearer the other limit must be for a multiplier to count as on the wrong side: below it
+# a solver cannot distinguish the two limits of an equality-like row.
 OPPOSITE = 1e-6
-"""How much nearer the other limit must be before a multiplier counts as on the wrong side: below
-it the two limits of an equality-like row cannot be told apart by a solver."""
 Number = TypeVar("Number", float, Vector)
 
 
 @dataclass(frozen=True, slots=True)
 class Residuals(Generic[Number]):
-    """Residuals of the optimality conditions at an answer, in the units of its QP.
-
-    Of several answers (K,) each.
-    """
+    """Residuals of the optimality conditions in the units of the QP; (K,) each of K answers."""
 
     primal: Number
     dual: Number
@@ -42,7 +39,7 @@ class Residuals(Generic[Number]):
 
 
 def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
-    """Compute the residuals of `solution`; its status is not looked at.
+    """Compute the residuals of `solution`, whatever its status.
 
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
@@ -65,9 +62,8 @@ def residuals_of_all(
 ) -> Residuals[Vector]:
     """Compute the residuals of K answers z, y_box (K, n), y (K, m) to K QPs.
 
-    The QPs have the matrices and bounds of `qp`, and q (K, n), l, u (K, m) of their own.
-
-    Summed without BLAS, so that no answer's last bits depend on how many others there are.
+    The QPs have the matrices and bounds of `qp`, and q (K, n), l, u (K, m) of their own. Sums are
+    made without BLAS, so that no answer's last bits depend on the number of others.
     """
     bounds = np.broadcast_to(qp.lb, z.shape), np.broadcast_to(qp.ub, z.shape)
     with np.errstate(all="ignore"):
@@ -92,24 +88,21 @@ def residuals_of_all(
         no_point = ~(np.abs(z.sum(axis=1)) < inf)
         nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
     return Residuals(
-        _sized(primal, no_point), *(_sized(number, nothing) for number in of_multipliers)
+        _mark_lost(primal, no_point), *(_mark_lost(number, nothing) for number in of_multipliers)
     )
 
 
-def _sized(numbers: Vector, lost: Flags) -> Vector:
-    """Replace NaN by the error it is, and everything by inf where all is lost."""
+def _mark_lost(numbers: Vector, lost: Flags) -> Vector:
+    """Replace NaN, and everything where `lost`, by inf."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
 def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
-    """Find the multipliers that explain `z` best, for answers that come without any.
+    """Find the multipliers y (m,), y_box (n,) that explain `z` best, for answers without any.
 
-    Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within
-    tol·(1 + |limit|); a row that meets both of its limits may have either sign.
-
-    Returns
-    -------
-    y (m,), y_box (n,) : zero on rows z does not touch; NaN where z is not finite.
+    Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within tol·(1 +
+    |limit|); a row that meets both of its limits may have either sign. Multipliers are zero on
+    other rows, and NaN where z is not finite.
     """
     n, m = qp.n, qp.m
     if not np.isfinite(z).all():
@@ -131,19 +124,16 @@ def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vecto
     return multiplier[:m], multiplier[m:]
 
 
-TRUE_TOL = 1e-3
-"""The tolerance at which an answer is called true, where no other is named."""
-PLAN_TOL_FACTOR = 10.0
-"""The distance of a plan to the optimum may be so many times the tolerance of its residuals."""
+TRUE_TOL = 1e-3  # The tolerance at which an answer is called true, where no other is named
+PLAN_TOL_FACTOR = 10.0  # allowed distance of a plan to the optimum, in tolerances of residuals
 
 
 def is_true(
     qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
-    """Whether an answer is true, whatever its solver claims.
+    """Return whether an answer is correct, whatever its solver claims.
 
-    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; NaN in any
-    of them is not true.
+    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; not for NaN.
     """
     primal, dual = np.array([residuals.primal]), np.array([residuals.dual])
     at_once = Residuals(primal, dual, primal, dual)  # of which the last two are not looked at
@@ -151,7 +141,7 @@ def is_true(
 
 
 def are_true(q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float) -> Flags:
-    """As `is_true`, of K answers to QPs of q (K, n): (K,)."""
+    """Apply `is_true` to K answers to QPs of q (K, n): (K,)."""
     true: Flags = (
         (residuals.primal <= tol)
         & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))

@@ -16,10 +16,7 @@ from dpbench.qp.solution import Solution
 
 
 def stack(qp: QuadraticProgram) -> QuadraticProgram:
-    """Stack a problem into 2m + 2n one-sided rows without bounds (eq. 25).
-
-    Rows of one move lie apart here, so `block` is 0; `moves` is kept.
-    """
+    """Stack into 2m + 2n one-sided rows (eq. 25); block is 0, as rows of a move are apart."""
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
     gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
@@ -29,11 +26,9 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """Stack a step.
+    """Stack a step after the problem `stacked`, whose box part of γ stays.
 
-    Its γ starts from that of `stacked`, whose box part stays.
-
-    Matrix updates bring P and A of the two-sided form; the stacked M is then rebuilt.
+    A step with matrices brings P and A of the two-sided form, from which M is built.
     """
     m = step.l.shape[0]
     gamma = stacked.u.copy()

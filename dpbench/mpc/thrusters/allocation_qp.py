@@ -1,13 +1,13 @@
 """Thrust allocation at each sample: the second QP of a cascade, behind a controller of forces.
 
     min ½ fᵀW f + ½ ΔfᵀR Δf + ½ sᵀΩ s,   f = f_prev + Δf
-    s.t. T_e f + s = τ_c                      what is missing of the demanded force is the slack s
+    s.t. T_e f + s = τ_c                 s, the slack, is the missing part of the demanded force
          low ≤ G f ≤ high                     polygons of the thrusters (`thruster_rows`)
          −Δf_max ≤ Δf ≤ Δf_max
 
 Scaled: z = [Δf/Δf_max; s/Δτ_max], the first rows over Δτ_max, the others over the change of G f by
-a full step. The slack leaves a feasible point whatever is demanded; with Ω large against W and R it
-is next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, section 11.2).
+a full step. The slack leaves a feasible point for every demand; with Ω large against W and R it is
+next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, section 11.2).
 [q; l; u] is an affine map of [τ_c; f_prev; 1]: a step is one matrix-vector product, as in
 `CondensedQP`.
 """
@@ -22,20 +22,18 @@ import numpy as np
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shape
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
 class AllocationProblem:
-    """What an allocation weighs and may do, in SI units.
+    """Weights and limits of an allocation, in SI units.
 
-    Parameters
-    ----------
     T_e : (3, n_f) configuration matrix; rows : r limits of the thrusters.
     W, R : (n_f, n_f) weights of f and of Δf; slack : (3, 3) Ω, that of the force not delivered.
-    df_max : (n_f,) largest Δf of a sample; step_max : (3,) unit of the slack, the rate limit of
-        the demanded force in a sample.
+    df_max : (n_f,) largest Δf of a sample; step_max : (3,) unit of the slack, the rate limit of the
+    demanded force in a sample.
     """
 
     T_e: Matrix
@@ -51,7 +49,7 @@ class AllocationProblem:
         shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
         shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
         for name, shape in shapes.items():
-            array = shaped("AllocationProblem", name, getattr(self, name), shape)
+            array = check_shape("AllocationProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @cached_property
@@ -60,7 +58,7 @@ class AllocationProblem:
         return self.rows.units(self.df_max)
 
     def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
-        """W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation with no limit, no rate and no slack.
+        """Return W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation without limits, rates and slack.
 
         Thrusters that are `lost` (p,) get nothing; where the others cannot make every force,
         it is that of least squares in units of `step_max`.
@@ -74,15 +72,8 @@ class AllocationProblem:
 
 
 class AllocationQP:
-    """The QPs of an allocation, all of one shape.
+    """The QPs of an allocation, all of one shape; units "scaled" or "si" (z = [Δf; s]).
 
-    Parameters
-    ----------
-    problem : in SI units.
-    units : "scaled" or "si" (z = [Δf; s] in N, N, N·m).
-
-    Attributes
-    ----------
     P (n, n), A (m, n), lb, ub (n,) : constant; n = n_f + 3, the slacks last, and m = 3 + r.
     Z (n + 2m, 3 + n_f + 1) : the affine map [q; l; u] = Z [τ_c; f_prev; 1].
     scale : how z and the rows relate to the scaled ones (`Units`).
@@ -97,7 +88,7 @@ class AllocationQP:
         scaled = units == "scaled"
         one, row_one = np.ones(self.n), np.ones(self.m)
         self.scale = Units(one if scaled else unit, row_one if scaled else row_unit)
-        # What one unit of a variable and of a row stands for [N, N·m].
+        # One unit of a variable and of a row in [N, N·m].
         self._unit: Vector = unit if scaled else one
         self._row_unit: Vector = row_unit if scaled else row_one
         self._build()
@@ -107,7 +98,7 @@ class AllocationQP:
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
     def _build(self) -> None:
-        """P, A, bounds and Z: in SI units first, then in those of the variables and rows."""
+        """Build P, A, bounds and Z in SI units, then in those of the variables and rows."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))
@@ -127,14 +118,13 @@ class AllocationQP:
         self.Z: Matrix = np.vstack([q * unit[:, np.newaxis], *(limits / row_unit)])
 
     def emit(self, tau: Vector, f_prev: Vector, *, limits: Limits | None = None) -> QPStep:
-        """The QP of one step, in memory of its own.
+        """Return the QP of one step, in memory of its own.
 
-        Parameters
-        ----------
-        tau : (3,) τ_c, the force demanded [N, N, N·m].
-        f_prev : (n_f,) forces of the thrusters in the last sample [N].
-        limits : [N], in force from now on instead of those of the problem; a thruster beyond them
-            by now may retreat straight to nothing (`LimitRampDown`).
+        tau : (3,) τ_c, the force demanded [N, N, N·m]; f_prev : (n_f,) forces of the thrusters in
+        the
+        last sample [N]; limits : [N], in force from now on instead of those of the problem; a
+        thruster
+        beyond them may retreat straight to zero (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev
@@ -147,15 +137,15 @@ class AllocationQP:
         return step
 
     def base(self) -> QuadraticProgram:
-        """The problem at rest, with no force demanded: what a workspace sets up with."""
+        """Return the problem at rest, with no force demanded, for the set-up of a workspace."""
         return self.problem(self.emit(np.zeros(AXES), np.zeros(self.n_f)))
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of one step; a warm start stays as it is, and slacks are no moves."""
+        """Return the whole problem of a step; a warm start is not shifted, slacks are no moves."""
         vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
         return QuadraticProgram(self.P, *vectors, moves=self.n_f)
 
     def moves(self, z: Vector) -> Vector:
-        """Δf (n_f,) [N] of an answer."""
+        """Return Δf (n_f,) [N] of an answer."""
         delta_f: Vector = z[: self.n_f] * self._unit[: self.n_f]
         return delta_f

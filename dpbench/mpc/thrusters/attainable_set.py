@@ -1,15 +1,13 @@
-"""The forces that a ship's thrusters can make together, as limits of a controller of forces.
+"""Forces that a ship's thrusters can make together, as limits of a controller of forces.
 
     {T_e f : each f_i in its polygon}  =  {τ : −h(−n) ≤ n·τ ≤ h(n) for every facet's normal n}
 
 The set is a sum of segments and polygons, one a thruster, each flat in the space of surge, sway and
 yaw. Every facet of such a sum holds two edges of its parts that are not parallel, so the cross
 products of all pairs of edges are all normals, and h(n) = Σ max n·T_e v over the corners v of the
-parts (Ziegler 1995, Lectures on Polytopes, section 7.2). A box of three limits, one an axis, holds
-far more than can be had at once, or leaves out what can.
-
-With thrusters lost the parts are fewer, but their edges are among the same: the normals stay and h
-falls.
+parts (Ziegler 1995, Lectures on Polytopes, section 7.2). A box of three limits, one an axis, allows
+far more than the thrusters make at once, or excludes some of it. With thrusters lost the parts are
+fewer, but their edges are among the same: the normals stay and h falls.
 """
 
 from __future__ import annotations
@@ -19,22 +17,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.arrays import Indices, Matrix
+from dpbench.arrays import Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
-_PARALLEL = 1e-9
-"""Cross products of unit edges below it, and normals closer than it, are the same direction."""
+_PARALLEL = 1e-9  # Smaller cross products, and distances of normals, are one direction
 
 
 @dataclass(frozen=True, eq=False)
 class AttainableSet:
-    """The rows of the set, whole and after losses.
+    """Rows of the set, whole and after losses.
 
-    Parameters
-    ----------
     normals : (r, 3) rows n [1, 1, 1/m], one for a facet and the one across.
     corners : of each thruster's part (v_i, 3) [N, N, N·m].
     """
@@ -43,9 +38,9 @@ class AttainableSet:
     corners: tuple[Matrix, ...]
 
     def limits(self, lost: Collection[int]) -> Limits:
-        """−h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing.
+        """Return −h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing.
 
-        The force as a whole counts as lost where in some direction nothing is left of the set.
+        The force as a whole counts as lost where the set is empty in some direction.
         """
         low, high = np.zeros(len(self.normals)), np.zeros(len(self.normals))
         for i, corners in enumerate(self.corners):
@@ -56,19 +51,16 @@ class AttainableSet:
         return Limits(low, high, np.array([(low == high).any()]))
 
     def rows(self) -> ThrusterRows:
-        """As rows of the force, which is limited as a whole: one group of rows and entries."""
-        together: Indices = np.zeros(len(self.normals), dtype=np.intp)
-        entries: Indices = np.zeros(AXES, dtype=np.intp)
+        """Return the set as rows of the force: one group of rows and entries."""
         low, high, _ = self.limits(())
-        return ThrusterRows(self.normals, low, high, together, entries)
+        one_group = (np.zeros(size, dtype=np.intp) for size in (len(low), AXES))
+        return ThrusterRows(self.normals, low, high, *one_group)
 
 
 def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
-    """The set of a ship's thrusters, circles as polygons of so many sides (`thruster_rows`).
+    """Return the set of a ship's thrusters, circles as polygons of so many sides (`thruster_rows`).
 
-    Raises
-    ------
-    InputError : for an azimuth with a sector.
+    InputError for an azimuth with a sector.
     """
     parts = [_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
@@ -82,7 +74,7 @@ def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
 
 
 def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
-    """Corners (v, components) of what one thruster gives, in order."""
+    """Return the corners (v, components) of one thruster's polygon, in order."""
     if thruster.sector_rad is not None:
         found = f"a sector of {thruster.name}"
         raise InputError(where, "thrusters.sector_deg", found, "none for limits = attainable")
@@ -93,19 +85,17 @@ def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
 
 
 def _edges(corners: Matrix) -> Matrix:
-    """Directions of the edges (e, 3) of a part, of unit length, each once."""
+    """Return directions of the edges (e, 3) of a part, of unit length, each once."""
     along = np.roll(corners, -1, axis=0) - corners
     return _distinct(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
 def _distinct(directions: Matrix) -> Matrix:
-    """Unit vectors (k, 3) less those that repeat another or its opposite."""
+    """Return unit vectors (k, 3) less those that repeat another or its opposite."""
     first = np.argmax(np.abs(directions) > 1e-6, axis=1)
     sign = np.sign(directions[np.arange(len(directions)), first])
     turned = directions * sign[:, np.newaxis]
     _, kept = np.unique(np.round(turned / _PARALLEL / 10.0), axis=0, return_index=True)
-    distinct: Matrix = turned[np.sort(kept)]
+    distinct = turned[np.sort(kept)]
     close = np.abs(distinct @ distinct.T) > 1.0 - _PARALLEL
-    first_alike = np.argmax(close, axis=1) == np.arange(len(distinct))
-    alone: Matrix = distinct[first_alike]
-    return alone
+    return np.asarray(distinct[np.argmax(close, axis=1) == np.arange(len(distinct))])

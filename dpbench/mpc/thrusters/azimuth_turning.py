@@ -2,10 +2,10 @@
 
     n = f/|f|,  t across it:    |n·Δf_i| ≤ Δf_max,    |t·Δf_i| ≤ max(|f|, 0.05 T) ω ΔT
 
-for the force f of a thruster before the step, at every move i: the turning rate ω of a thruster
-bounds the part of a move across its direction by the arc it sweeps, its rate the part along it. The
-direction is that of the step, so A changes with it. A thruster that hardly pushes may be turned as
-if it pushed with a twentieth of its thrust; else it could never leave nothing but ahead.
+for the force f of a thruster before the step, at every move i: the turning rate ω bounds the part
+of a move across the direction by the arc it sweeps, the thrust rate the part along it. The
+direction is that of the step, so A changes with it. A thruster with hardly any force is turned as
+with a twentieth of its thrust; else it could never leave zero but ahead.
 """
 
 from __future__ import annotations
@@ -25,18 +25,15 @@ from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
-LEAST = 0.05
-"""Share of its thrust that an azimuth which hardly pushes is turned as if it had."""
+LEAST = 0.05  # Share of its thrust that an azimuth which hardly pushes is turned as if it had
 
 
 @dataclass(frozen=True, eq=False)
 class AzimuthTurning:
-    """The azimuths of a ship whose turning rate is known.
+    """Azimuths of a ship with a known turning rate.
 
-    Parameters
-    ----------
-    x : (a,) where X of each stands in f; Y is behind it.
-    arc : (a,) ω ΔT [rad], what each turns in a sample; least_N : (a,) 0.05 T [N].
+    x : (a,) index of X of each in f; Y is behind it. arc : (a,) ω ΔT [rad], the turn in a sample;
+    least_N : (a,) 0.05 T [N].
     """
 
     x: np.ndarray
@@ -45,7 +42,7 @@ class AzimuthTurning:
 
     @classmethod
     def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
-        """Those of a ship's thrusters that have a turning rate."""
+        """Select the thrusters of a ship that have a turning rate."""
         pairs = zip(thrusters.thrusters, thrusters.places, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
         rates = [t.turning_radps or 0.0 for t, _ in turning]
@@ -56,13 +53,13 @@ class AzimuthTurning:
         )
 
     def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
-        """Parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
+        """Return parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
         parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
         c, s, most = np.array([_direction(*part) for part in parts]).reshape(-1, 3).T
         return c, s, most
 
     def kept(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
-        """The move (n_f,) cut to what rate and turning allow from f on."""
+        """Return the move (n_f,) cut to the limits of rate and turning from f on."""
         c, s, most = self.directions(f)
         x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
         radial = np.clip(c * x + s * y, -unit, unit)
@@ -90,7 +87,7 @@ class TurningLimit(ThrusterLimit):
 
 @njit(cache=True, error_model="numpy")
 def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Parts of n along X and Y, and the most across, of one azimuth."""
+    """Return parts of n along X and Y, and the most across, of one azimuth."""
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
     # Below it a direction is rounding, and what is squared is lost.
@@ -100,10 +97,7 @@ def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # c
 class TurningQP(CondensedQP):
     """The problem of thrusters whose azimuths turn at a limited rate; each step brings A.
 
-    Parameters
-    ----------
-    problem, units, amplitude, outputs, penalty : as for `CondensedQP`, of thrusters.
-    turning : the azimuths; also an attribute.
+    Arguments as for `CondensedQP`, of thrusters; turning : the azimuths, also an attribute.
     """
 
     def __init__(
@@ -113,13 +107,13 @@ class TurningQP(CondensedQP):
         super().__init__(problem, **form)
         a, rows = len(turning.x), self.m // problem.N_c
         unit = problem.du_max[turning.x] if self.units == "scaled" else np.ones(a)
-        # One array, because a call costs most for its arguments.
+        # One array, because most of the time of a call goes to its arguments.
         limits = turning.arc, turning.least_N, problem.du_max[turning.x] / unit, unit
         first = rows - 2 * a + 2 * np.arange(a)
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
-        """Two rows an azimuth, with directions and limits of a thruster at nothing."""
+        """Return two rows an azimuth, with directions and limits of a thruster at zero."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
         moves = np.zeros((N_c, 2 * a, N_c, n_u))
@@ -133,14 +127,9 @@ class TurningQP(CondensedQP):
         return [ConstraintBlock(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: Limits | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
+        """Return the QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
         _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)

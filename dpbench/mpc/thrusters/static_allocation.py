@@ -28,27 +28,20 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import ThrusterSet
 
-NEVER = 2.0
-"""A limit no thruster reaches: in units of its nominal thrust it gives 1 at most."""
+NEVER = 2.0  # A limit no thruster reaches: in units of its nominal thrust it gives 1 at most
 
 
 class StaticAllocation:
     """The QPs of one ship, all of one shape.
 
-    Parameters
-    ----------
-    thrusters : p of them; their own sectors are ignored, as pieces carry them.
-    sides : of the polygon of an azimuth, even.
-    sectors : (p,) whether any piece of a thruster has a sector; chords : (p,) the most chords any
-        piece of it has.
+    thrusters : p of them; their own sectors are ignored, as pieces carry them. sides : of the
+    polygon
+    of an azimuth, even. sectors : (p,) whether any piece of a thruster has a sector; chords : (p,)
+    the most chords any piece of it has.
     """
 
     def __init__(
-        self,
-        thrusters: ThrusterSet,
-        sides: int,
-        sectors: Sequence[bool],
-        chords: Sequence[int],
+        self, thrusters: ThrusterSet, sides: int, sectors: Sequence[bool], chords: Sequence[int]
     ) -> None:
         round_ones = tuple(replace(t, sector_rad=None) for t in thrusters.thrusters)
         self._thrusters = thrusters
@@ -61,18 +54,16 @@ class StaticAllocation:
     def qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
-        """The QP of one load.
+        """Return the QP of one load.
 
-        Parameters
-        ----------
-        load : (3,) mean load times its factor [N, N, N·m].
-        shares : (p,) effective over nominal thrust.
+        load : (3,) mean load times its factor [N, N, N·m]; shares : (p,) effective over nominal
+        thrust;
         chosen : (p,) the piece of each thruster; lost : numbers of those that give nothing.
         """
         T, rows = self._thrusters.thrust_N, self._rows
         given = [i not in lost for i in range(len(T))]
         over = shares[rows.thruster] / T[rows.thruster]
-        blocks = [self._extras(i, chosen[i], shares[i]) for i in range(len(T))]
+        blocks = [self._sector_and_chord_rows(i, chosen[i], shares[i]) for i in range(len(T))]
         balance = self._balance * self._thrusters.per_entry(np.array(given, dtype=np.float64))
         A = np.vstack([balance, rows.G, *(block[0] for block in blocks)])
         right = -load / self.units
@@ -81,8 +72,10 @@ class StaticAllocation:
         n = self._thrusters.n_f
         return QuadraticProgram(np.eye(n), np.zeros(n), A, low, high, -np.ones(n), np.ones(n))
 
-    def _extras(self, i: int, piece: Piece, share: float) -> tuple[Matrix, Vector, Vector]:
-        """Rows, lower and upper limits of the sector and chords of thruster i."""
+    def _sector_and_chord_rows(
+        self, i: int, piece: Piece, share: float
+    ) -> tuple[Matrix, Vector, Vector]:
+        """Return rows, lower and upper limits of the sector and chords of thruster i."""
         count = self._extra[i]
         normals = np.tile([1.0, 0.0], (count, 1))
         low, high = np.full(count, -NEVER), np.full(count, NEVER)
@@ -100,16 +93,12 @@ class StaticAllocation:
 
 
 class LossAllocation:
-    """The QPs by which thrusters make a force after a loss: one P, q and A, whatever is lost.
+    """QPs by which thrusters make a force after a loss: one P, q and A, whatever is lost.
 
         min ½ Σ |f_i/T_i|²   subject to   T_e f = τ,   low ≤ G f ≤ high,   lost ones f_i = 0
 
     Scaled as above. A loss is a limit, so that a workspace goes on from one load or loss to the
-    next; it has no slack, so that a force that is not to be had leaves no feasible point.
-
-    Parameters
-    ----------
-    rows : the limits of the thrusters, r of them.
+    next; without a slack an unattainable force leaves no feasible point. rows : r limits.
     """
 
     def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
@@ -117,32 +106,29 @@ class LossAllocation:
         self._A = np.vstack([balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
-        """l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under limits (K, r) of the rows [N]."""
+        """Return l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under row limits (K, r) [N]."""
         balance = force / self._units
-        return (
-            np.hstack([balance, low / self._thrust]),
-            np.hstack([balance, high / self._thrust]),
-        )
+        return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
     def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
-        """The QP of limits (3 + r,)."""
+        """Return the QP of limits (3 + r,)."""
         n = self._A.shape[1]
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
 
 
 def sector_normals(start: float, end: float) -> Matrix:
-    """Inward normals (2, 2) of the sector between two directions [rad]."""
+    """Return inward normals (2, 2) of the sector between two directions [rad]."""
     return np.array([(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))])
 
 
 def balance_units(thrusters: ThrusterSet) -> Vector:
-    """(3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
+    """Return (3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
     total = float(thrusters.thrust_N.sum())
     return np.array([total, total, total * thrusters.longest_arm_m])
 
 
 def balance_matrix(thrusters: ThrusterSet) -> Matrix:
-    """T_e T over `balance_units`: (3, n_f)."""
+    """Return T_e T over `balance_units`: (3, n_f)."""
     thrust = thrusters.per_entry(thrusters.thrust_N)
     matrix: Matrix = thrusters.T_e * thrust / balance_units(thrusters)[:, np.newaxis]
     return matrix

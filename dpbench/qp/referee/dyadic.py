@@ -2,9 +2,8 @@
 
     array = whole · 2^exponent,  whole an array of Python integers
 
-Sums and products of such arrays are exact, at some 50 ns a term, which is what decides the cases
-that rounding error leaves open. Fraction-free elimination (Bareiss, Math. Comp. 22, 1968) solves
-linear systems over the integers.
+Sums and products of such arrays are exact, at some 50 ns a term. Fraction-free elimination
+(Bareiss, Math. Comp. 22, 1968) solves linear systems over the integers.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _SHIFT = 53
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dyadic:
-    """An array of exact numbers whole·2^exponent."""
+    """Array of exact numbers whole·2^exponent."""
 
     whole: Whole
     exponent: int
@@ -77,30 +76,21 @@ class Dyadic:
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 
     def signs(self) -> NDArray[np.int8]:
-        """−1, 0 or 1 per entry."""
-        positive = np.asarray(self.whole > 0, dtype=np.int8)
-        return positive - np.asarray(self.whole < 0, dtype=np.int8)
+        """Return −1, 0 or 1 per entry."""
+        return np.asarray(np.sign(self.whole), dtype=np.int8)
 
     def floats(self) -> Vector:
         """Return the nearest float64 of each entry."""
-        scale = self.exponent
-        up, down = 1 << max(scale, 0), 1 << max(-scale, 0)
+        up, down = 1 << max(self.exponent, 0), 1 << max(-self.exponent, 0)
         values = [(number * up) / down for number in self.whole.ravel().tolist()]
         return np.array(values, dtype=np.float64).reshape(self.whole.shape)
 
 
 def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
-    """Numerators and the common positive denominator of M⁻¹ rhs, by fraction-free elimination.
+    """Return M⁻¹ rhs as numerators (N, k) and a positive denominator; None for a zero minor.
 
-    Parameters
-    ----------
-    M : (N, N) integers whose leading minors are non-zero unless M is singular, as those of a KKT
-        matrix with positive definite cost are, so that no pivoting is needed.
-    rhs : (N, k) integers.
-
-    Returns
-    -------
-    (N, k) numerators and the determinant up to sign, or None when a leading minor vanishes.
+    M (N, N) must have non-zero leading minors unless it is singular, as a KKT matrix with positive
+    definite cost has, so that no pivoting is needed; rhs (N, k).
     """
     N = M.shape[0]
     work = np.concatenate((M, rhs), axis=1)
@@ -121,8 +111,8 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
     return (x, det) if det > 0 else (np.asarray(-x, dtype=object), -det)
 
 
-def semidefinite(S: Whole) -> bool:
-    """Whether a symmetric integer matrix is positive semidefinite, exactly.
+def is_semidefinite(S: Whole) -> bool:
+    """Return whether a symmetric integer matrix is positive semidefinite, exactly.
 
     Symmetric elimination: a negative pivot refutes it, and so does a zero pivot whose row is not
     zero (Golub and Van Loan, Matrix Computations, 4.2.8).

@@ -1,4 +1,4 @@
-"""A QP in units that make its numbers alike, by powers of two: the same problem to the last bit.
+"""Equilibration of a QP by powers of two: the same problem to the last bit.
 
     z = D z',  P' = c D P D,  q' = c D q,  A' = R A D,  [l'; lb'] = [R l; D⁻¹ lb],  likewise u
 
@@ -16,13 +16,12 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP
 
 SWEEPS = 10
-RANGE = 1e250
-"""Numbers beyond it, or below its inverse, could leave float64 where they are scaled."""
+RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 where they are scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
-    """The factors of one P and A: D (n,), R (N,) of the rows of C, and c."""
+    """Factors of one P and A: D (n,), R (N,) of the rows of C, and c."""
 
     D: Vector
     R: Vector
@@ -36,18 +35,22 @@ class Scales:
         D, R = np.ones(n), np.ones(len(A))
         for _ in range(SWEEPS):
             rows, cost = A * R[:, np.newaxis] * D, np.abs(P) * D[:, np.newaxis] * D
-            D = D / _root(np.maximum(rows.max(axis=0, initial=0.0), cost.max(axis=0, initial=0.0)))
-            R = R / _root(rows.max(axis=1, initial=0.0))
-        D, R = _power(D), _power(R)
+            D = D / _positive_root(
+                np.maximum(rows.max(axis=0, initial=0.0), cost.max(axis=0, initial=0.0))
+            )
+            R = R / _positive_root(rows.max(axis=1, initial=0.0))
+        D, R = _nearest_power(D), _nearest_power(R)
         largest = float((np.abs(P) * D[:, np.newaxis] * D).max(initial=0.0))
-        return cls(D, np.concatenate((R, 1.0 / D)), float(_power(np.array(1.0 / (largest or 1.0)))))
+        return cls(
+            D, np.concatenate((R, 1.0 / D)), float(_nearest_power(np.array(1.0 / (largest or 1.0))))
+        )
 
     def cost_matrix(self, P: Matrix) -> Matrix:
-        """P' (n, n)."""
+        """Return P' (n, n)."""
         return self.cost * P * self.D[:, np.newaxis] * self.D
 
     def rows(self, C: Matrix) -> Matrix:
-        """C' (N, n), whose last rows are the identity again."""
+        """Return C' (N, n), whose last rows are the identity again."""
         return C * self.R[:, np.newaxis] * self.D
 
     def problem(self, problem: JointQP, P: Matrix, C: Matrix) -> JointQP:
@@ -60,22 +63,22 @@ class Scales:
         return y * self.R / self.cost
 
 
-def safe(*arrays: Matrix) -> bool:
-    """Whether powers of two of moderate size leave every finite entry what it is."""
+def is_scalable(*arrays: Matrix) -> bool:
+    """Return whether scaling by moderate powers of two leaves every finite entry exact."""
     sizes = np.concatenate([np.abs(array[np.isfinite(array)]).ravel() for array in arrays])
     sizes = sizes[sizes > 0.0]
     return not len(sizes) or bool(sizes.max() < RANGE and sizes.min() > 1.0 / RANGE)
 
 
-def alike(P: Matrix) -> Matrix:
-    """D P D with a diagonal of about 1, definite where P (n, n) is and nowhere else."""
-    D = _power(1.0 / _root(np.diagonal(P)))
+def equilibrate_diagonal(P: Matrix) -> Matrix:
+    """Return D P D with a diagonal of about 1, definite exactly where P (n, n) is."""
+    D = _nearest_power(1.0 / _positive_root(np.diagonal(P)))
     return np.asarray(P * D[:, np.newaxis] * D, dtype=np.float64)
 
 
-def _root(size: Vector) -> Vector:
+def _positive_root(size: Vector) -> Vector:
     return np.sqrt(np.where(size > 0.0, size, 1.0))
 
 
-def _power(size: Vector) -> Vector:
+def _nearest_power(size: Vector) -> Vector:
     return np.asarray(np.exp2(np.round(np.log2(size))), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The gap certificate: the optimum of a QP with weakly active rows.
+"""Gap certificate: the optimum of a QP with weakly active rows.
 
 For feasible z, and y whose signs name finite limits,
 
@@ -6,8 +6,8 @@ For feasible z, and y whose signs name finite limits,
     |z_i − z*_i| ≤ √(2·gap·(P⁻¹)_ii)
 
 z and y are refined in exact dyadic arithmetic against limits moved inwards by τ, so that z is
-feasible to the last bit and every slack of an active row is τ to within the refinement; nothing is
-a difference of objectives, which would be rounding noise.
+feasible to the last bit and every slack of an active row is τ to within the refinement; no
+difference of objectives is taken, which would be rounding noise.
 """
 
 from __future__ import annotations
@@ -25,12 +25,9 @@ from dpbench.qp.referee.kkt import KKTSystem
 
 TAU_EXPONENT = -120
 """τ = 2^−120: √(2·τ·‖y‖₁·(P⁻¹)_ii) stays below 1e-12 for ‖y‖₁·(P⁻¹)_ii up to 1e12."""
-LAST_BIT = -170
-"""Refined x is a multiple of 2^LAST_BIT."""
-ROUNDS = 12
-"""Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12."""
-NEAR = 1e-9
-"""Relative slack below which an inactive row counts as weakly active."""
+LAST_BIT = -170  # Refined x is a multiple of 2^LAST_BIT
+ROUNDS = 12  # Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12
+NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
 def met(problem: JointQP, z: Vector) -> Signs:
@@ -42,7 +39,7 @@ def met(problem: JointQP, z: Vector) -> Signs:
 
 
 def independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
-    """`signs` restricted to linearly independent rows of C, those in `first` taken first."""
+    """Restrict `signs` to linearly independent rows of C, those in `first` taken first."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]
     basis = np.zeros((0, n))
@@ -65,14 +62,10 @@ def gap_certificate(
 ) -> Proof | None:
     """Certify the optimum by the gap at a refined point on the rows of `system`.
 
-    Parameters
-    ----------
-    system : a `proven` system of all rows that may be active.
-    inverse : (n, n) entrywise upper bounds of |P⁻¹|, P positive definite.
-
-    Returns
-    -------
-    None where no feasible z is found this way, as with equality-like rows (see `last_resort`).
+    system : a `proven` system of all rows that may be active; inverse (n, n) : entrywise upper
+    bounds
+    of |P⁻¹|, P positive definite. None where no feasible z is found this way, as with equality-like
+    rows (see `last_resort`).
     """
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
@@ -82,9 +75,9 @@ def gap_certificate(
     if refined is None:
         return None
     z, lam = refined
-    if not _feasible(problem, exact, z):
+    if not _is_feasible(problem, exact, z):
         return None
-    # A multiplier of the wrong sign is zero here and its row becomes part of r.
+    # A multiplier of the wrong sign is set to zero: its row becomes part of r.
     lam = Dyadic(np.where(lam.signs() == system.signs, lam.whole, 0), lam.exponent)
     G = exact.C[rows]
     slack = Dyadic.of(limits) - G @ z
@@ -103,7 +96,7 @@ def gap_certificate(
 def refine(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
-    """K_W [z; λ] = [−q; target] to within some units of 2^LAST_BIT, or None."""
+    """Solve K_W [z; λ] = [−q; target] to some units of 2^LAST_BIT; None if that fails."""
     n = system.n
     G, q = exact.C[system.rows], Dyadic.of(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)
@@ -112,7 +105,7 @@ def refine(
         upper = -(exact.P @ z + q + G.T @ lam)
         lower = target - G @ z
         step = system.X @ np.concatenate((upper.floats(), lower.floats()))
-        change = _multiples(step)
+        change = _round_to_multiples(step)
         if not change.any():
             return z, lam
         x = Dyadic(np.asarray(x.whole + change, dtype=object), LAST_BIT)
@@ -122,7 +115,7 @@ def refine(
     return None
 
 
-def _multiples(step: Vector) -> NDArray[np.object_]:
+def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
     """Express the step in integer multiples of 2^LAST_BIT."""
     digits = Dyadic.of(step)
     shift = digits.exponent - LAST_BIT
@@ -131,10 +124,9 @@ def _multiples(step: Vector) -> NDArray[np.object_]:
     return np.asarray(digits.whole >> -shift, dtype=object)
 
 
-def _feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
-    """Whether z satisfies every limit, exactly."""
+def _is_feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
-    above = (value[upper] - Dyadic.of(problem.U[upper])).signs()
-    below = (value[lower] - Dyadic.of(problem.L[lower])).signs()
-    return not (above > 0).any() and not (below < 0).any()
+    over = value[upper] - Dyadic.of(problem.U[upper])
+    under = Dyadic.of(problem.L[lower]) - value[lower]
+    return not any((excess.signs() > 0).any() for excess in (over, under))

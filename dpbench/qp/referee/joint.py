@@ -33,8 +33,7 @@ class JointQP:
     @classmethod
     def of(cls, qp: QuadraticProgram) -> JointQP:
         """Return the joint form of `qp`."""
-        C = np.vstack((qp.A, np.eye(qp.n)))
-        return cls(qp.P, qp.q, C, *qp.limits())
+        return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.limits())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +48,12 @@ class Proof:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactMatrices:
-    """The constant matrices of a joint QP in exact arithmetic."""
+    """Finite constant matrices of a joint QP in exact arithmetic."""
 
     P: Dyadic
     C: Dyadic
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
-        """Exact copies of finite P and C."""
+        """Return exact copies of P and C."""
         return cls(Dyadic.of(P), Dyadic.of(C))

@@ -1,31 +1,31 @@
-"""Kernels of the linear certificate: a residual in twice the precision, and what it proves.
+"""Kernels of the linear certificate: a residual in twice the precision, and a proof by it.
 
     K (N, N)   ┌ P   C_Wᵀ ┐  n    x ┌ z   ┐    rhs ┌ −q  ┐    X ≈ K⁻¹, kept by columns: X_T[j] is
                └ C_W  0   ┘  w      └ λ_W ┘        └ b_W ┘    column j of X;  C_T[j] column j of C
 
-K is symmetric, so that row j is its column j: all products here go column by column, and the inner
-loop runs over neighbours in memory whose sums do not wait for each other.
+K is symmetric, so that row j is its column j: all products go column by column, and the inner loop
+runs over neighbours in memory whose sums do not wait for each other.
 
 The residual b − Kx is Dot2 of Ogita, Rump and Oishi (Accurate sum and dot product, SIAM J. Sci.
-Comput. 26, 2005, proposition 5.5): every product and sum is split without error into what float64
-holds of it and what it lost (Dekker 1971; Knuth, TAOCP 2, 4.2.2), and what was lost is summed up
-beside it. With u = 2⁻⁵³
+Comput. 26, 2005, proposition 5.5): every product and sum is split without error into its float64
+value and its rounding error (Dekker 1971; Knuth, TAOCP 2, 4.2.2), and these errors are summed too.
+With u = 2⁻⁵³
 
     |r − (b − Kx)| ≤ u |b − Kx| + γ²_{N+1} (|b| + |K||x|)
 
-The splitting must be calculated as written: no `fastmath`, which would cancel the lost parts to
-zero as algebra does. Numbers beyond 2⁹⁹⁶ overflow in it to NaN, and NaN proves nothing.
+The splitting must be calculated as written: no `fastmath`, which would cancel the errors to zero.
+Numbers beyond 2⁹⁹⁶ overflow in it to NaN, and NaN proves nothing.
 
 By hand, 1 − 3·x at the float64 number next to ⅓, x = ⅓ − 2⁻⁵⁴/3: 3x rounds to 1, so that float64
-sees no residual. The product's lost part is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
+has no residual. The product's error is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
 
 >>> third, r = np.array([1 / 3]), np.empty(1)
 >>> _residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
 >>> float(1.0 - 3.0 * third[0]), float(r[0]) * 2**54
 (0.0, 1.0)
 
-And what that proves of x: X = ⅓ rounded finds x from nothing, and its error is the residual over 3,
-2⁻⁵⁴/3, to within the rounding of the bound:
+For x this proves: X = ⅓ rounded finds x from zero, and its error is the residual over 3, 2⁻⁵⁴/3, to
+within the rounding of the bound:
 
 >>> K, X_T, ones = np.array([[3.0]]), np.array([[1 / 3]]), np.ones(1)
 >>> x, error = np.zeros(1), np.zeros(1)
@@ -34,7 +34,7 @@ And what that proves of x: X = ⅓ rounded finds x from nothing, and its error i
 (True, 1.0)
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
 from __future__ import annotations
@@ -43,24 +43,18 @@ import numpy as np
 
 from dpbench.kernel_cache import njit
 
-UNIT = float(np.finfo(np.float64).eps)
-"""Twice the unit roundoff, which leaves room."""
-OUTWARD = 1.0 + 1e-11
-"""Makes up for the rounding of the bounds themselves: sums of up to some 10⁴ positive terms."""
-UNDERFLOW = 1e-291
-"""Far above what any sum here can lose by underflow."""
-SPLITTER = 2.0**27 + 1.0
-"""Halves the 53 bits of a float64 (Veltkamp)."""
-MEANT, CROSSED, MEANINGLESS = 0, 1, 2
-"""Limits that may be certified; a lower one above its upper one; no numbers any z could satisfy."""
-
-
+UNIT = float(np.finfo(np.float64).eps)  # Twice the unit roundoff, which leaves room
+OUTWARD = 1.0 + 1e-11  # Covers the rounding of the bounds: sums of some 10⁴ positive terms
+UNDERFLOW = 1e-291  # Far above what any sum here can lose by underflow
+SPLITTER = 2.0**27 + 1.0  # Halves the 53 bits of a float64 (Veltkamp)
+# Limits that may be certified; a lower one above its upper one; no numbers any z could satisfy.
+ORDERED_LIMITS, CROSSED_LIMITS, INVALID_DATA = 0, 1, 2
 # Divisions need no check for zero: what is not finite proves nothing.
-inlined = njit(error_model="numpy")
-kept = njit(cache=True, error_model="numpy")
+inlined_njit = njit(error_model="numpy")
+cached_njit = njit(cache=True, error_model="numpy")
 
 
-@inlined
+@inlined_njit
 def add_columns(columns, x, total):
     """Add Σ columns[j] · x[j] to total."""
     for j in range(len(x)):
@@ -69,7 +63,7 @@ def add_columns(columns, x, total):
             total[i] += columns[j, i] * factor
 
 
-@inlined
+@inlined_njit
 def _add_sizes(columns, x, total):
     """Add Σ |columns[j]| · |x[j]| to total."""
     for j in range(len(x)):
@@ -78,12 +72,9 @@ def _add_sizes(columns, x, total):
             total[i] += abs(columns[j, i]) * factor
 
 
-@inlined
+@inlined_njit
 def _residual(K, x, b, r):
-    """Write r (N,) = b − K x of a symmetric K.
-
-    As if summed in twice the precision and rounded once.
-    """
+    """Write r (N,) = b − K x of a symmetric K, summed in twice the precision and rounded once."""
     N = len(b)
     lost = np.zeros(N)
     for i in range(N):
@@ -109,7 +100,7 @@ def _residual(K, x, b, r):
         r[i] += lost[i]
 
 
-@inlined
+@inlined_njit
 def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
     """Write x (N,) = K⁻¹ rhs, and a rigorous bound of its error; both zero before.
 
@@ -141,20 +132,17 @@ def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
         error[i] += spread * weight[i]
 
 
-@inlined
-def _finite(numbers):
+@inlined_njit
+def _are_finite(numbers):
     good = True
     for number in numbers:
         good &= np.isfinite(number)
     return good
 
 
-@inlined
-def _proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
-    """Whether multipliers and slacks are beyond their doubts.
-
-    A row with equal limits holds its multiplier at either sign.
-    """
+@inlined_njit
+def _is_proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
+    """Return whether multipliers and slacks exceed their doubts; equal limits allow either sign."""
     for k in range(len(rows)):
         i = rows[k]
         if L[i] != U[i] and not signs[k] * lam[k] > lam_doubt[k]:
@@ -165,14 +153,12 @@ def _proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
     return True
 
 
-@kept
+@cached_njit
 def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
-    """Whether the active set of K is proven to be that of the problem; `linear_certificate`.
+    """Test whether the active set of K is proven to be that of the problem; `linear_certificate`.
 
-    Returns
-    -------
-    The bound of the error of z, inf where nothing is proven; x (n+w,) the point and its multipliers
-    with bounds of their errors; y (N,) the same multipliers row by row.
+    Returns the bound of the error of z, inf where nothing is proven; x (n+w,) the point and its
+    multipliers with bounds of their errors; y (N,) the multipliers row by row.
     """
     n, N, size = len(q), len(L), len(K)
     x, error, rhs = np.zeros(size), np.zeros(size), np.zeros(size)
@@ -195,7 +181,9 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
     _add_sizes(C_T, rhs[:n], doubt)
     for i in range(N):
         doubt[i] = (doubt[i] + UNIT * abs(value[i])) * OUTWARD
-    if not (_finite(error) and _proven(L, U, rows, signs, lam, lam_error, value, doubt, held)):
+    if not (
+        _are_finite(error) and _is_proven(L, U, rows, signs, lam, lam_error, value, doubt, held)
+    ):
         return np.inf, x, error, y
     bound = 0.0
     for j in range(n):
@@ -205,15 +193,15 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
     return bound, x, error, y
 
 
-@kept
-def meaning(q, L, U):
-    """Whether q and the limits are numbers that some z could satisfy one by one, as `MEANT`, …."""
-    if not _finite(q):
-        return MEANINGLESS
-    code = MEANT
+@cached_njit
+def classify_limits(q, L, U):
+    """Classify q and the limits as `ORDERED_LIMITS`, `CROSSED_LIMITS` or `INVALID_DATA`."""
+    if not _are_finite(q):
+        return INVALID_DATA
+    code = ORDERED_LIMITS
     for i in range(len(L)):
         if not (L[i] < np.inf and U[i] > -np.inf):
-            return MEANINGLESS
+            return INVALID_DATA
         if L[i] > U[i]:
-            code = CROSSED
+            code = CROSSED_LIMITS
     return code

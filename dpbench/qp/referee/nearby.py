@@ -1,14 +1,14 @@
-"""A guess of the active set from one that it is near to, as one step's is to that of the next.
+"""A guess of the active set from a near one, as one step's is to that of the next.
 
 The primal-dual active-set method (Hintermüller, Ito and Kunisch, SIAM J. Optim. 13, 2003): at the
 point of a set W, the rows whose multipliers have the wrong sign go, the rows that the point
-violates come, and so on until nothing changes. That need not end, and a set that comes out need not
-be right: a certificate judges it like any other guess.
+violates come, and so on until nothing changes. That need not end, and the set need not be right: a
+certificate judges it like any other guess.
 
 No system is built on the way. The point of a set that differs from W by some rows solves that of W
 with a column for each of them, k in all,
 
-    ┌ K_W  B ┐  ┌ x ┐     ┌ rhs ┐      B  [c_i; 0] for a row i to be brought in, t its limit
+    ┌ K_W  B ┐  ┌ x ┐     ┌ rhs ┐      B  [c_i; 0] for a row i to be added, t its limit
     └ Bᵀ   0 ┘  └ μ ┘  =  └  t  ┘         [0; e_j] for the row at place j to be dropped, t = 0
 
 and with X ≈ K_W⁻¹ known that is a system of k: (BᵀXB) μ = BᵀX rhs − t,  x = X rhs − XB μ. The
@@ -26,7 +26,7 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 >>> C, L, U = np.eye(2), np.full(2, -np.inf), np.ones(2)
 >>> problem = JointQP(np.eye(2), np.array([-3.0, -0.5]), C, L, U)
 >>> near = KKTSystem(problem.P, C, np.array([0, 1], dtype=np.int8))
->>> nearby(problem, Geometry(C), near).tolist()
+>>> guess_nearby(problem, Geometry(C), near).tolist()
 [1, 0]
 >>> x, mu = np.array([3.0, 1.0, -0.5]), np.zeros(2)
 >>> place, signs, both = np.array([-1, 2]), np.array([1, 0]), np.array([0, 1])
@@ -34,7 +34,7 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 (True, [1.0, 0.5, 0.0], [2.0, 0.5])
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
 from __future__ import annotations
@@ -42,35 +42,30 @@ from __future__ import annotations
 import numpy as np
 
 from dpbench.qp.referee.joint import JointQP, Signs
-from dpbench.qp.referee.kernels import add_columns, inlined, kept
+from dpbench.qp.referee.kernels import add_columns, cached_njit, inlined_njit
 from dpbench.qp.referee.kkt import Geometry, KKTSystem
 
+# Most exchanges, and rows other than those of W: a library finds distant sets sooner.
 STEPS, MOST = 8, 12
-"""Exchanges, and rows other than those of W, beyond which the guess is given up: a library finds
-distant sets sooner. Between two steps of a loop one or two exchanges of few rows are made."""
 
 
-def nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
-    """Iterate from the active set of a `proven` system.
-
-    Returns the set at which the method ends, None if it fails.
-    """
+def guess_nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
+    """Return the active set at which the method ends from that of a `proven` system, or None."""
     signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
     signs[system.rows] = system.signs
     posed = problem.q, problem.L, problem.U, problem.C
-    return signs if _method(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+    return (
+        signs if _iterate_active_set(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+    )
 
 
-@inlined
+@inlined_njit
 def _limit(L, U, signs, i):
-    """Return the limit a row is active at.
-
-    0 where it is not, for its equation then says nothing.
-    """
+    """Return the limit a row is active at; 0 where it is not, as its equation is void then."""
     return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
 
 
-@inlined
+@inlined_njit
 def _solve(S, b):
     """Solve S x = b in place by Gauss-Jordan elimination; return False where S is singular."""
     for k in range(len(b)):
@@ -93,13 +88,11 @@ def _solve(S, b):
     return True
 
 
-@inlined
+@inlined_njit
 def _correct(C, L, U, X_T, place, signs, changed, x, mu):
-    """Move x (n+w,) from W to the set `signs`, with mu (k,).
+    """Move x (n+w,) from W to the set `signs`, with mu (k,); return False where that has no point.
 
-    Returns False where that set has no point.
-
-    place (N,) : where the row's equation stands in K_W; −1 for a row that is not in W.
+    place (N,) : position of the row's equation in K_W, −1 for a row that is not in W.
     changed (k,) : the rows that are in W or in the set, but not in both.
     """
     B_T = np.zeros((len(mu), len(x)))
@@ -127,9 +120,9 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
     return True
 
 
-@inlined
+@inlined_njit
 def _exchange(L, U, signs, place, changed, value, x, mu):
-    """Violated rows come, those with a multiplier of the wrong sign go; whether any did."""
+    """Add violated rows, drop those with a multiplier of the wrong sign; return whether any."""
     multipliers = np.zeros(len(signs))
     for i in range(len(signs)):
         if place[i] >= 0:
@@ -149,9 +142,9 @@ def _exchange(L, U, signs, place, changed, value, x, mu):
     return moved
 
 
-@kept
-def _method(q, L, U, C, C_T, X_T, rows, signs):
-    """Whether the method ends within `STEPS`; `signs` (N,), W before, becomes the set it is at."""
+@cached_njit
+def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
+    """Update `signs` (N,) from W; return whether the method ends within `STEPS`."""
     n, N = len(q), len(L)
     place, changed = np.full(N, -1), np.zeros(N, dtype=np.int64)
     for k in range(len(rows)):

@@ -10,8 +10,7 @@ from dpbench.arrays import Vector
 from dpbench.display import fields_html, numbers_text
 from dpbench.qp.referee.joint import Kind
 
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
+ACTIVE_MULTIPLIER = 1e-9  # Scaled multipliers above it count as active limits in `n_active`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +23,7 @@ class Optimum:
         NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
     bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
     kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
-        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
+        "none" where nothing is proven.
     """
 
     z: Vector
@@ -37,17 +36,12 @@ class Optimum:
         return f"<Optimum of {len(self.z)} variables: {self._proven}>"
 
     def _repr_html_(self) -> str:
-        fields = {
-            "certificate": f"{self.kind}: {self._proven}",
-            "z": numbers_text(self.z),
-            "y": numbers_text(self.y),
-            "y_box": numbers_text(self.y_box),
-        }
+        fields = {"certificate": f"{self.kind}: {self._proven}"}
+        fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
         return fields_html(f"Optimum of {len(self.z)} variables", fields)
 
     @property
     def _proven(self) -> str:
-        """What is proven, in words."""
         if not np.isfinite(self.bound):
             proofs = {
                 "infeasible": "no point is feasible",

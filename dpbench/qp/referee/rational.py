@@ -1,4 +1,4 @@
-"""The rational certificate: the optimum by an active-set method in exact arithmetic.
+"""Rational certificate: the optimum by an active-set method in exact arithmetic.
 
 The dual method of Goldfarb and Idnani (Mathematical Programming 27, 1983): from multipliers of the
 right sign, add the most violated row, and drop the rows whose multipliers reach zero on the way.
@@ -9,34 +9,34 @@ All data are scaled by powers of two to integers: with P = 2^p P', C = 2^c C', z
 q = 2^(p+e) q', [L; U] = 2^(c+e) [L'; U'], the multipliers are λ = 2^(p+e−c) λ'.
 
 A set W is solved for two right-hand sides at once, in integers over one positive denominator: the
-point, and what it changes by when the multiplier μ of a row g to be brought in grows by 1.
+point, and its change when the multiplier μ of a row g to be added grows by 1.
 
               n    w                                 point   slope
         n  ┌  P   Gᵀ ┐   ┌ z  dz/dμ ┐           ┌     −q      −g  ┐
         w  └  G   0  ┘   └ λ  dλ/dμ ┘     =     └   limits     0  ┘        G = C_W
 
-An example to follow by hand: the point nearest (1, ½) with 3 z₁ ≤ 1. Alone, z = (1, ½) violates the
-row g = (3, 0) by 2. Along μ, dz/dμ = −g, so that g·z falls by 9 for 1 of μ: at μ = 2/9 the row is
-met, W = {0} has G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by ⅓·2⁻⁵⁴.
+By hand, the point nearest (1, ½) with 3 z₁ ≤ 1: alone, z = (1, ½) violates the row g = (3, 0) by 2.
+Along μ, dz/dμ = −g, so that g·z falls by 9 for 1 of μ: at μ = 2/9 the row is met, W = {0} has
+G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by ⅓·2⁻⁵⁴.
 
 >>> from dpbench.qp.program import QuadraticProgram
 >>> free = np.full(2, np.inf)
 >>> row = [[3, 0]], [-np.inf], [1], -free, free
 >>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
 >>> exact = ExactMatrices.of(problem.P, problem.C)
->>> qp, nobody = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
->>> active, at = _start(qp, nobody)
+>>> qp, no_guess = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
+>>> active, at = _start(qp, no_guess)
 >>> unit = Fraction(2) ** qp.z_exponent
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
 ['1', '1/2']
->>> _most_violated(qp, at), _hold(qp, active, 0, 1), active.rows
+>>> _most_violated(qp, at), _add_limit(qp, active, 0, 1), active.rows
 ((0, 1), None, [0])
 >>> at = active.solve(np.zeros(2, dtype=object))
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
 ['1/3', '1/2']
 >>> str(Fraction(at.point[2], at.denominator) * Fraction(2) ** qp.y_exponent)
 '2/9'
->>> proof = rational_certificate(problem, exact, nobody)
+>>> proof = rational_certificate(problem, exact, no_guess)
 >>> proof.z.tolist() == [1 / 3, 1 / 2], bool(np.isclose(proof.bound, 2**-54 / 3, rtol=1e-9, atol=0))
 (True, True)
 """
@@ -71,18 +71,11 @@ class _IntegerQP:
         L, U = (Dyadic.of(np.nan_to_num(x, posinf=0.0, neginf=0.0)) for x in (problem.L, problem.U))
         p, c = exact.P.exponent, exact.C.exponent
         e = min(q.exponent - p, L.exponent - c, U.exponent - c)
-        return cls(
-            exact.P.whole,
-            q.at(p + e),
-            exact.C.whole,
-            _limits(L.at(c + e), problem.L),
-            _limits(U.at(c + e), problem.U),
-            e,
-            p + e - c,
-        )
+        limits = _finite_limits(L.at(c + e), problem.L), _finite_limits(U.at(c + e), problem.U)
+        return cls(exact.P.whole, q.at(p + e), exact.C.whole, *limits, e, p + e - c)
 
 
-def _limits(numbers: Whole, given: Vector) -> list[int | None]:
+def _finite_limits(numbers: Whole, given: Vector) -> list[int | None]:
     finite = np.isfinite(given).tolist()
     return [x if there else None for x, there in zip(numbers.tolist(), finite, strict=True)]
 
@@ -97,7 +90,7 @@ class _Iterate:
 
 
 class _ActiveSet:
-    """The rows held at a limit; `side` +1 upper, −1 lower, 0 for an equality-like row."""
+    """Rows held at a limit; `side` +1 upper, −1 lower, 0 for an equality-like row."""
 
     def __init__(self, qp: _IntegerQP) -> None:
         self.qp = qp
@@ -114,25 +107,22 @@ class _ActiveSet:
 
     def solve(self, gradient: Whole) -> _Iterate | None:
         """Return the point that holds the rows while the multiplier μ of `gradient` varies."""
-        qp, n = self.qp, len(self.qp.q)
+        qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
-        w = len(self.rows)
         K = np.zeros((n + w, n + w), dtype=object)
         K[:n, :n], K[n:, :n], K[:n, n:] = qp.P, G, G.T
         rhs = np.zeros((n + w, 2), dtype=object)
         rhs[:n, 0], rhs[:n, 1] = -qp.q, -gradient
-        rhs[n:, 0] = [
-            qp.lower[row] if side < 0 else qp.upper[row]
-            for row, side in zip(self.rows, self.side, strict=True)
-        ]
+        sides = zip(self.rows, self.side, strict=True)
+        rhs[n:, 0] = [qp.lower[row] if side < 0 else qp.upper[row] for row, side in sides]
         solved = solve_integer(K, rhs)
         if solved is None:
             return None
         x, denominator = solved
         return _Iterate(x[:, 0], x[:, 1], denominator)
 
-    def wrong(self, multipliers: Whole) -> int | None:
-        """Position of the multiplier of the most wrong sign, if any."""
+    def most_wrong(self, multipliers: Whole) -> int | None:
+        """Return the position of the multiplier of the most wrong sign, if any."""
         values = [side * lam for side, lam in zip(self.side, multipliers, strict=True)]
         worst = min(range(len(values)), key=values.__getitem__, default=None)
         return worst if worst is not None and values[worst] < 0 else None
@@ -140,18 +130,17 @@ class _ActiveSet:
     def first_zero(self, at: _Iterate) -> tuple[Fraction, int] | None:
         """Return the smallest μ at which a multiplier reaches zero, and its position."""
         n = len(self.qp.q)
-        zeros = [
+        multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
+        zeros = (
             (Fraction(-value, slope), position)
-            for position, (side, value, slope) in enumerate(
-                zip(self.side, at.point[n:], at.slope[n:], strict=True)
-            )
+            for position, (side, value, slope) in multipliers
             if side * slope < 0
-        ]
+        )
         return min(zeros, default=None)
 
 
 def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
-    """Row and sign of the limit that the point violates most, exactly; None if it is feasible."""
+    """Return row and sign of the limit that the point violates most; None if it is feasible."""
     value = qp.C @ at.point[: len(qp.q)]
     violation, limit = 0, None
     for row, number in enumerate(value.tolist()):
@@ -164,7 +153,6 @@ def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
 
 
 def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
-    """Find an active set with multipliers of the right sign, from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
         active.add(row, int(signs[row]))
@@ -173,7 +161,7 @@ def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
         at = active.solve(nothing)
         if at is None:
             return None if not active.rows else _start(qp, np.zeros_like(signs))
-        worst = active.wrong(at.point[len(qp.q) :])
+        worst = active.most_wrong(at.point[len(qp.q) :])
         if worst is None:
             return active, at
         active.drop(worst)
@@ -182,15 +170,9 @@ def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
 def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
     """Certify the optimum rounded once, whatever is degenerate.
 
-    Parameters
-    ----------
-    problem : with positive definite P and L ≤ U.
-    signs : a guess of the active set; it decides the time, not the answer.
-
-    Returns
-    -------
-    The optimum, or of kind "infeasible" the Farkas multipliers y (N,) with z NaN and bound inf;
-    None when P turns out singular.
+    `problem` must have positive definite P and L ≤ U; `signs` is a guess of the active set, which
+    decides the time only. Where there is no optimum, the proof is of kind "infeasible" with the
+    Farkas multipliers y (N,), z NaN and bound inf; None when P turns out singular.
     """
     qp = _IntegerQP.of(problem, exact)
     started = _start(qp, signs)
@@ -199,7 +181,7 @@ def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -
     active, at = started
     while (violated := _most_violated(qp, at)) is not None:
         row, sign = violated
-        farkas = _hold(qp, active, row, sign)
+        farkas = _add_limit(qp, active, row, sign)
         if farkas is not None:
             return Proof(np.full(len(qp.q), np.nan), farkas, np.inf, "infeasible")
         settled = active.solve(np.zeros(len(qp.q), dtype=object))
@@ -209,8 +191,8 @@ def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -
     return _proof(qp, active, at)
 
 
-def _hold(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
-    """Bring a violated limit into the active set; the Farkas multipliers if that is impossible."""
+def _add_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
+    """Add a violated limit to the active set; return the Farkas multipliers if that fails."""
     gradient = sign * qp.C[row]
     limit = sign * ((qp.upper[row] if sign > 0 else qp.lower[row]) or 0)
     while True:

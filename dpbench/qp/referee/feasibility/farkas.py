@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from itertools import chain
 from math import lcm
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -23,25 +24,21 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.joint import JointQP
 
-CONSISTENT = 1e-6
-"""How well a claimed vector must satisfy Aᵀy + y_box = 0 before its y_box is replaced by −Aᵀy."""
-DENOMINATORS = (1, 12, 60, 1000)
-"""Rounding of a vector from floating point to fractions, tried in turn where exactness counts."""
+CONSISTENT = 1e-6  # relative error of Aᵀy + y_box = 0 in a claimed vector
+DENOMINATORS = (1, 12, 60, 1000)  # of fractions near a vector, tried in turn
 
 
-def crossed(qp: QuadraticProgram) -> Vector | None:
+def crossed_limits_vector(qp: QuadraticProgram) -> Vector | None:
     """Return the unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
     problem = JointQP.of(qp)
     crossing = np.flatnonzero(problem.L > problem.U)
     if not len(crossing):
         return None
-    unit = np.zeros(len(problem.L))
-    unit[crossing[0]] = 1.0
-    return unit
+    return np.asarray(np.eye(len(problem.L))[crossing[0]])
 
 
 def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Whether (y, y_box) proves that `qp` has no feasible point.
+    """Return whether (y, y_box) proves that `qp` has no feasible point.
 
     y_box must satisfy Aᵀy + y_box = 0 to within `CONSISTENT`; it is then replaced by the exact
     −Aᵀy, whose sign must name finite bounds. A multiple of the unit vector of a row with l > u
@@ -68,7 +65,7 @@ def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
 
 
 def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
-    """Σ upper·y⁺ − Σ lower·y⁻, or None where a sign names an infinite limit."""
+    """Return Σ upper·y⁺ − Σ lower·y⁻, or None where a sign names an infinite limit."""
     signs = y.signs()
     limits = np.where(signs > 0, upper, lower)
     used = signs != 0
@@ -80,11 +77,10 @@ def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
 def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     """Find a valid Farkas vector (y, y_box), or None.
 
-    An independent linear program over the signed parts of (y, y_box), normalised to sum 1, then
-    verified exactly; with infinite bounds the vector is also tried as small fractions, since
-    Aᵀy = 0 has to hold to the last bit there.
+    From a linear program over the signed parts of (y, y_box), normalised to sum 1, then verified
+    exactly; with infinite bounds also as small fractions, since Aᵀy = 0 has to be exact there.
     """
-    unit = crossed(qp)
+    unit = crossed_limits_vector(qp)
     if unit is not None:
         return unit[: qp.m], unit[qp.m :]
     problem = JointQP.of(qp)
@@ -93,9 +89,7 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     if not len(cost):
         return None
     balance = np.concatenate((problem.C[upper], -problem.C[lower])).T
-    answer = linprog(
-        cost, A_eq=balance, b_eq=np.zeros(qp.n), A_ub=np.ones((1, len(cost))), b_ub=[1.0]
-    )
+    answer = linprog(cost, np.ones((1, len(cost))), [1.0], balance, np.zeros(qp.n))
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     both = np.zeros(len(problem.L))
@@ -105,7 +99,7 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
 
 
 def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
-    """Find a valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
+    """Find a valid Farkas vector (y, y_box) near the one in `both` (m + n,), or None."""
     for y in chain((both[: qp.m],), _fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):
@@ -114,7 +108,7 @@ def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | N
 
 
 def _fractions(vector: Vector) -> Iterator[Vector]:
-    """Integer vectors near multiples of `vector`; lazily, for they take far longer than a proof."""
+    """Yield integer vectors near multiples of `vector`, lazily: they cost more than a proof."""
     size = float(np.abs(vector).max(initial=0.0))
     smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
     for unit in {size, smallest} - {0.0}:
@@ -125,11 +119,9 @@ def _fractions(vector: Vector) -> Iterator[Vector]:
 
 
 def in_integers(vector: Vector, denominator: int) -> Vector | None:
-    """Integers in the proportions of the nearest fractions; None where float64 cannot hold them.
+    """Return integers in the proportions of the nearest fractions of at most this denominator.
 
-    Parameters
-    ----------
-    denominator : the largest of a fraction.
+    None where float64 cannot hold them.
     """
     parts = [Fraction(value).limit_denominator(denominator) for value in vector.tolist()]
     common = lcm(*(part.denominator for part in parts))
@@ -140,7 +132,7 @@ def in_integers(vector: Vector, denominator: int) -> Vector | None:
 
 
 def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
-    """Whether d proves that the objective of `qp` falls without end from any feasible point."""
+    """Return whether d proves that the objective falls without end from a feasible point."""
     d = np.asarray(d, dtype=np.float64)
     if d.shape != (qp.n,) or not np.isfinite(d).all():
         return False
@@ -151,8 +143,7 @@ def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
         return False
     problem = JointQP.of(qp)
     moves = (Dyadic.of(problem.C) @ exact).signs()
-    above, below = np.isfinite(problem.U), np.isfinite(problem.L)
-    return not (moves[above] > 0).any() and not (moves[below] < 0).any()
+    return not ((moves > 0) & np.isfinite(problem.U) | (moves < 0) & np.isfinite(problem.L)).any()
 
 
 def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
@@ -160,14 +151,8 @@ def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))
-    answer = linprog(
-        qp.q,
-        A_eq=qp.P,
-        b_eq=np.zeros(qp.n),
-        A_ub=cone if len(cone) else None,
-        b_ub=np.zeros(len(cone)) if len(cone) else None,
-        bounds=(-1.0, 1.0),
-    )
+    rows: dict[str, Any] = {"A_ub": cone, "b_ub": np.zeros(len(cone))} if len(cone) else {}
+    answer = linprog(qp.q, A_eq=qp.P, b_eq=np.zeros(qp.n), bounds=(-1.0, 1.0), **rows)
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     candidates = chain((answer.x,), _fractions(answer.x))
