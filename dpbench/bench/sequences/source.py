@@ -206,7 +206,7 @@ QPs of the cell, `check` reads all of it (ResultsError or InputError where it is
 def source_file(cell: Cell) -> SourceFile:
     """Return the file behind a cell's QPs."""
     match cell.source:
-        case ControllerSource() | qp_source.HardestSource():
+        case ControllerSource() | HardestSource():
             return _Loop(cell)
         case ConsequenceSource() as source:
             return _Consequence(cell, source)

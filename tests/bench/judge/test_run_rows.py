@@ -13,8 +13,7 @@ from dpbench.bench.judge import timing
 from dpbench.bench.judge.closed_loop import Evaluated
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import is_ranked
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.cell import RecordedSource
+from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.schema import ABSENT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.scenario.scenario import load_scenario

@@ -23,7 +23,7 @@ from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.formulation import Box
 from dpbench.bench.run.timed_solver import HUNG, RunDelay, TimedSolver, interrupting, run_delay
-from dpbench.bench.workers.worker import hang_of
+from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Workspace, words_of
@@ -208,7 +208,7 @@ def test_a_killed_loop_of_a_slow_computer_goes_on(
     )
     log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
     log.started[0], log.done[0] = 1, 4
-    assert hang_of(cell, tmp_path / "a.raw", []) == ((0, 4) if resumed else None)
+    assert find_hang(cell, tmp_path / "a.raw", []) == ((0, 4) if resumed else None)
 
 
 def _work_ms(ms: float) -> None:
