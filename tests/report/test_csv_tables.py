@@ -106,11 +106,7 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     write_together(out / "tables", {"old.csv": lambda: b"x\n1\n"})
     write_report(out)
     table = _table(out, "runs").set_index("solver")
-    assert table["outcome"].to_dict() == {
-        "daqp": "finished",
-        "ecos": "refused",
-        "highs": "crashed",
-    }
+    assert table["outcome"].to_dict() == {"daqp": "finished", "ecos": "refused", "highs": "crashed"}
     assert table.loc["ecos", "outcome_detail"] == "it keeps no workspace"
     assert _table(out, "verdicts").set_index("solver")["why"]["highs"] == (
         "its process ended in paper: signal 11"

@@ -104,10 +104,7 @@ def test_markdown_has_no_html_or_links_of_the_folder(records: Any, tmp_path: Pat
     records.refused("ecos", HOSTILE)
     out = _spoilt(records, tmp_path / "out")
     assert main(["report", str(out), "--for", FORMULA.replace("/", ""), "--quiet"]) == 0
-    files = [
-        out / "report.md",
-        out / f"{FORMULA.replace('/', '')}.md",
-    ]
+    files = [out / "report.md", out / f"{FORMULA.replace('/', '')}.md"]
     for path in files:
         tokens = MarkdownIt("commonmark").enable("table").parse(path.read_text("utf-8"))
         inline = [child for token in tokens for child in token.children or []]

@@ -28,16 +28,7 @@ FAMILY_COLOURS = {
     "not stated": "#525252",
 }
 """Colour-blind safe (Okabe and Ito, Color Universal Design, 2008)."""
-PALETTE = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#e69f00",
-    "#56b4e9",
-    "#7f7f7f",
-    "#8c510a",
-)
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#8c510a")
 """The same for lines, whatever they stand for."""
 FLOOR = 1e-16
 """Errors below it are drawn at it."""

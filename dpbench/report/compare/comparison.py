@@ -147,11 +147,7 @@ def compare(
 
 
 def _compare_times(
-    views: tuple[Records, Records],
-    timings: list[Timing],
-    solver: str,
-    margin: float,
-    alpha: float,
+    views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[Compared], list[Shared], list[str]]:
     """The verdicts on step times, and what is to be said of how they were compared."""
     said = []

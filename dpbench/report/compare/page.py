@@ -238,8 +238,7 @@ def claims_first(compared: Sequence[Compared]) -> list[Compared]:
     """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
-        compared,
-        key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value),
+        compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
     )
 
 

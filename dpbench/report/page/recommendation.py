@@ -15,14 +15,7 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, one_of
-from dpbench.report.formats import (
-    and_list,
-    error_text,
-    plural,
-    rounded_down,
-    time_text,
-    unmarked,
-)
+from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text, unmarked
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     NOBODY,
@@ -231,12 +224,7 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(
-            f"{state}{_otherwise(data, first, p)}",
-            marks[state],
-            data.experiments[p].label,
-            p,
-        )
+        Chip(f"{state}{_otherwise(data, first, p)}", marks[state], data.experiments[p].label, p)
         for p, state in zip(experiments, states, strict=True)
         if state not in counted
     ]

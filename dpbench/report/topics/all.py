@@ -18,12 +18,7 @@ from dpbench.report.topics.consequence import consequence_topic
 from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
-from dpbench.report.topics.replays import (
-    formulations_topic,
-    levels_topic,
-    race_topic,
-    routes_topic,
-)
+from dpbench.report.topics.replays import formulations_topic, levels_topic, race_topic, routes_topic
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
 from dpbench.report.topics.thrusters import thrusters_topic

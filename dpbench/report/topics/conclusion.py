@@ -16,12 +16,7 @@ from dpbench.analysis.suites.consequence import (
 )
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.steering import (
-    Steering,
-    is_about_thrusters,
-    lost_late,
-    steering_of,
-)
+from dpbench.analysis.verdict.steering import Steering, is_about_thrusters, lost_late, steering_of
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import and_list, of_sample_text, plural, rounded_up
 from dpbench.report.page.section import Topic

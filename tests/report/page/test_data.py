@@ -125,8 +125,7 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
-    [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)],
+    ("value", "said"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
 def test_numbers_are_such_as_json_has(value: Any, said: Any) -> None:
     """Missing is null, and infinite a word."""
