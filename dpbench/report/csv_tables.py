@@ -1,5 +1,4 @@
-"""Everything the page shows, as tables, and what it has no room for: `tables/*.csv` with a legend,
-and the data frames of `load_results`."""
+"""Tables of the report: `tables/*.csv` with a legend, and the frames of `load_results`."""
 
 from __future__ import annotations
 
@@ -35,10 +34,7 @@ RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 def tables_of(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
-    """All tables by name; one that has nothing to say has no row.
-
-    `TABLES` says what each is; those of a topic of the page have its name.
-    """
+    """Return all tables by name, some of them empty; `TABLES` explains them."""
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts(data, recommendation),
@@ -55,8 +51,7 @@ def tables_of(
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Write those that have rows into `folder`, and what they say into `README.md`; those of an
-    earlier report go.
+    """Write tables with rows and their legend into `folder`; remove those of earlier reports.
 
     Raises
     ------
@@ -68,7 +63,6 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
 
 
 def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
-    """What each table holds, and what its columns mean in which unit."""
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
     said = {
         markdown_text(name): (
@@ -81,7 +75,7 @@ def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
 
 
 def _ladder(data: PageData) -> pd.DataFrame:
-    """The ladder in microseconds, as the page says them; the figure's axis has milliseconds."""
+    """Return the ladder in microseconds; the figure's axis has milliseconds."""
     table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
@@ -89,7 +83,6 @@ def _ladder(data: PageData) -> pd.DataFrame:
 
 
 def _verdicts(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
-    """The verdicts with why they are so, in words."""
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]

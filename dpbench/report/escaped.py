@@ -19,30 +19,27 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks and other characters that are not shown."""
+    """Replace line breaks and other characters that are not shown by spaces."""
     return "".join(" " if unicodedata.category(c) in _NOT_SHOWN else c for c in text)
 
 
 def markdown_text(text: str) -> str:
-    """Text within a line of Markdown: no HTML, link or picture; marks such as ` stay."""
+    """Escape text within a line of Markdown: no HTML, link or picture; marks such as ` stay."""
     return _LINK.sub(r"]\\", _TAG.sub("&lt;", one_line(text)))
 
 
 def markdown_line(text: str) -> str:
-    """A paragraph of Markdown: as `markdown_text`, and no heading, list or block of code."""
+    """Escape a paragraph of Markdown, so that it is no heading, list or block of code."""
     return _BLOCK.sub(r"\\", markdown_text(text).lstrip())
 
 
 def markdown_cell(text: str) -> str:
-    """A cell of a table of Markdown."""
+    """Escape a cell of a Markdown table."""
     return _PIPE.sub(r"\1\1\\|", markdown_text(text))
 
 
 def csv_bytes(table: pd.DataFrame) -> bytes:
-    """The table as CSV; texts that a spreadsheet would take for formulas begin with an apostrophe.
-
-    Numbers stay as they are, those in columns of text too.
-    """
+    """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
     named = table.rename(columns={name: _no_formula(name) for name in table.columns})
     texts = [i for i, dtype in enumerate(named.dtypes) if not pd.api.types.is_numeric_dtype(dtype)]
     for i in texts:
@@ -52,7 +49,6 @@ def csv_bytes(table: pd.DataFrame) -> bytes:
 
 
 def _no_formula(value: Any) -> Any:
-    """The value; a text that begins like a formula, and is no number, behind an apostrophe."""
     if not isinstance(value, str) or not value.startswith(_FORMULA):
         return value
     try:

@@ -38,7 +38,7 @@ BESIDE = ("slowdown", "random", "consequence")
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What a report is made of."""
+    """Results with the recommendation and topics made of them."""
 
     results: Results
     data: PageData
@@ -53,12 +53,11 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """The report on some results, nothing written.
+        """Build the report on some results; write nothing.
 
         Parameters
         ----------
-        designs, capability : what lies beside them, see `topics_of`; baseline : as in
-            `write_report`.
+        designs, capability : as of `topics_of`; baseline : as of `write_report`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
         data = PageData.of(records, verdicts_of(records, requirements))
@@ -88,8 +87,7 @@ class Report:
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List what a run ends with on a terminal, each line with a word for what it is about: the
-        answer, its notes, the count of the solvers, machine and harness."""
+        """List the last lines of a run on a terminal, each under a keyword."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         rows = [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts
@@ -103,7 +101,6 @@ class Report:
         return [*rows, *self._machine_rows()]
 
     def _machine_rows(self) -> Iterator[tuple[str, str]]:
-        """What of machine, harness and figures limits the results."""
         records = self.data.records
         disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:

@@ -35,11 +35,11 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What became of the paper.
+    """Result of reproducing the paper.
 
     Parameters
     ----------
-    lines : what to say of it, at most ten; remarks : what of the runs went wrong.
+    lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
     """
 
@@ -51,15 +51,14 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under an exact solver and the clipped law, and write what it shows.
+    """Run the paper's case under an exact solver and the clipped law, and write the results.
 
-    What is written is said by `write_reproduction`; the runs lie in the folder `runs` beside it.
-    Loops that were finished before are not run again.
+    Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
+    loops are not run again.
 
     Parameters
     ----------
     out : the folder; by default `results/paper`.
-    progress : told how far it is.
 
     Raises
     ------
@@ -70,7 +69,7 @@ def reproduce_paper(
 
 
 def write_reproduction(runs: Path, folder: Path) -> Reproduction:
-    """Write what the runs of a result folder say of the paper.
+    """Write the figures, data and claims of the paper from the runs of a result folder.
 
     `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
     """
@@ -97,7 +96,6 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
 
 
 def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
-    """Figures 4 to 7 in every format, and what each draws."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
@@ -108,7 +106,6 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
 
 
 def _document(topic: Topic, results: Results) -> str:
-    """The claims and all that belongs to them, in Markdown."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
@@ -117,7 +114,7 @@ def _document(topic: Topic, results: Results) -> str:
 
 
 def _contradicted(judged: Sequence[Claim]) -> list[str]:
-    """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
+    """List the claims that the runs contradict or do not cover, at most `MOST_NAMED` of them."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []

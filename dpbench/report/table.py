@@ -15,14 +15,13 @@ from dpbench.report.formats import unmarked
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report, of text alone.
+    """Table of text.
 
     Parameters
     ----------
-    heads : column heads with units; rows : cells, one tuple a row.
-    title : its heading; note : population, route, machine, and what a failure counted as.
+    heads : with units; note : population, route, machine, and what a failure counted as.
     text_columns : so many leading ones are left-aligned.
-    shown : so many rows the page has, by default all, with 0 no table; a file has all of them.
+    shown : number of rows on the page, by default all, with 0 no table; a file has all of them.
     folded : whether it opens there with a click.
     """
 
@@ -36,7 +35,7 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
-        """The table of rows that have the head beside each cell, one of them at least."""
+        """Build the table of one row or more, each cell under its head."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
     @property
@@ -56,13 +55,13 @@ class Table:
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """A pipe table of Markdown; columns after the first `text_columns` are right-aligned."""
+    """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
     return "\n".join(map(_line, [heads, align, *rows]))
 
 
 def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
-    """A Markdown document: the lines as a list, then every table under its title and note."""
+    """Return a Markdown document: the lines as a list, then the tables with titles and notes."""
     parts = [f"# {markdown_text(title)}", "\n".join(f"- {markdown_text(line)}" for line in lines)]
     parts += [
         f"## {markdown_text(t.title)}\n\n{markdown_line(t.note)}\n\n"
@@ -73,7 +72,7 @@ def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
 
 
 def html(table: Table) -> str:
-    """The table as plain HTML, for a notebook."""
+    """Return the table as plain HTML, for a notebook."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)
 
 

@@ -29,7 +29,7 @@ NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def requirements_text(requirements: Requirements) -> str:
-    """The requirements in one sentence."""
+    """State the requirements in one sentence."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
@@ -45,8 +45,7 @@ def requirements_text(requirements: Requirements) -> str:
 
 
 def counted(verdicts: Verdicts) -> str:
-    """Count the solvers by their best verdict: pass at their default or only otherwise, and
-    the others; every solver once."""
+    """Count the solvers by their best verdict: pass by default, pass otherwise, and the others."""
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
@@ -76,7 +75,7 @@ _GROUPS = {
 
 
 def deployment_facts(solver: str) -> str:
-    """Licence, language and C code of a solver, in a sentence."""
+    """State licence, language and C code generation of a solver."""
     known = known_record(solver)
     if known is None:
         return "Its licence and language are not known here."
@@ -88,7 +87,7 @@ def deployment_facts(solver: str) -> str:
 
 
 def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice) -> str:
-    """Why nothing is recommended."""
+    """Explain why nothing is recommended."""
     if recommendation.faster is not None:
         return (
             "Nothing that can go aboard passes; "
@@ -103,14 +102,14 @@ def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice)
 
 
 def usual_time(verdict: Verdict) -> str:
-    """Its p99, or its p50 where there are too few steps for one."""
+    """Format the p99, or the p50 where there are too few steps for one."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
     return f"p99 {time_text(verdict.p99_ns)} in {unmarked(where(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
-    """The ratio of the step times of two configurations, with its interval or why it has none."""
+    """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
     said = f"{significant(compared.ratio.value)} times as long over the same steps"
@@ -126,7 +125,7 @@ def paired_text(compared: PairedComparison) -> str:
 
 
 def clauses(findings: Sequence[Finding]) -> str:
-    """What was found, in plain clauses."""
+    """Join findings in plain clauses."""
     return "; ".join(map(clause, findings))
 
 
@@ -179,7 +178,7 @@ _WORDS = {
 
 
 def clause(finding: Finding) -> str:
-    """One finding as a plain clause."""
+    """Word one finding as a plain clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
@@ -208,13 +207,13 @@ def clause(finding: Finding) -> str:
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """What the answer at one step of a run is worth."""
+    """Classify the answer at one step of a run."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
 def where(row: RunRecord) -> str:
-    """The scenario or replay of a run in words."""
+    """Name the scenario or replay of a run."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -235,6 +234,6 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
 
 
 def judged_on(verdict: Verdict) -> str:
-    """What the answers of a configuration were judged on."""
+    """Count the loops and replays that a configuration was judged on."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

@@ -26,8 +26,7 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
 
     Parameters
     ----------
-    baseline : the solver that the page sets beside the answer; by default the one the suite names,
-        or the next best.
+    baseline : solver to compare with; by default the one the suite names, or the next best.
 
     Returns
     -------
@@ -52,14 +51,14 @@ def report_and_ending(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """As `write_report`; with it what a run ends with: see `Report.summary_rows`.
+    """Write the report as `write_report` does; also return `Report.summary_rows`.
 
     Parameters
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
-    statement : the file to write the one-page statement to, .pdf or .svg.
-    send : a folder to make that can be sent to others, see `documents/sent.py`.
-    solver, against : a solver to set beside others, in `SOLVER.md`, see `documents/comment.py`.
+    statement : file to write the one-page statement to, .pdf or .svg.
+    send : folder to make that can be sent to others, see `documents/sent.py`.
+    solver, against : solvers to compare in `SOLVER.md`, see `documents/comment.py`.
 
     Raises
     ------
@@ -94,13 +93,12 @@ def report_and_ending(
 
 
 def _page(folder: Path, report: Report, *, light: bool = False) -> str:
-    """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
     r, light = report, light or not can_draw()
     return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
-    """Every figure that stands alone, in each format; those of an earlier report go."""
+    """Write every stand-alone figure in each format; remove those of an earlier report."""
     files = {
         f"{name}.{kind}": partial(encoded, chart, kind)
         for name, chart in report.figures.items()

@@ -27,11 +27,9 @@ _FIGURES = (
 
 
 def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
-    """Points of time and largest error, filled where the solver passes, pale where it is
-    inconclusive and hollow where it fails or is late, if only elsewhere; lines join the settings
-    of a solver. Clicking sets `pick`.
+    """Draw step time against largest error; lines join the settings of a solver.
 
-    The parameter `percentile` chooses p50 or p99.
+    Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
     Parameters
     ----------
@@ -87,7 +85,7 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
 
 def _fullness() -> Any:
-    """The legend of how full a point is, of points that are not seen: Vega has none of its own."""
+    """Draw the legend of the filling from invisible points: Vega has none of its own."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.below(columns=_COLUMNS, symbolStrokeWidth=1.5, **looks_of)

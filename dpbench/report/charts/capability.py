@@ -1,5 +1,4 @@
-"""The rose of a ship's capability: the largest wind it holds, by where it comes from; and what
-solvers answer at that edge."""
+"""Capability rose, and the answers of solvers at its edge."""
 
 from __future__ import annotations
 
@@ -29,13 +28,12 @@ _CLEAR_MPS = 1.8
 
 
 def rose(table: pd.DataFrame, title: str) -> Any:
-    """A closed line for each case; ahead is up, starboard to the right, rings are DP numbers.
+    """Draw the largest wind held by direction: ahead is up, a line a case, rings are DP numbers.
 
     Parameters
     ----------
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
-        With a column `untrue`, how many solvers made an untrue claim there, points with any are
-        hollow.
+        Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
     """
     cases = list(dict.fromkeys(table["case"]))
     closed = pd.concat([_closed(table[table["case"] == case]) for case in cases])
@@ -67,7 +65,6 @@ Place = dict[str, Any]
 
 
 def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
-    """A mark for each direction, hollow where a solver made an untrue claim."""
     tooltips = [
         "case:N",
         style.tip("from_deg:Q", "from [°]"),
@@ -90,13 +87,13 @@ def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
 
 
 def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
-    """Coordinates of a wind (…) from a direction (…): ahead is up."""
+    """Return the coordinates of a wind (…) from a direction (…): ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 
 
 def _closed(case: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a case with the first one again at the end."""
+    """Return the rows of a case with the first one again at the end."""
     ring = pd.concat([case, case.iloc[:1]])
     places = _at(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
     return ring.assign(**places, i=range(len(ring)))
@@ -117,13 +114,11 @@ def _spokes(place: Place) -> Any:
 
 
 def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
-    """Pale lines of some columns each."""
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
 
 def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
-    """The number of each ring, clear of the lines, on a patch of the paper."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_at(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
@@ -133,8 +128,7 @@ def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
 
 
 def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
-    """Where each ring (R,) is named: along the one direction between spokes in which the lines keep
-    off most rings, and a ring that they do not keep off there in the direction best for itself."""
+    """Return where each ring (R,) is named: in one direction good for most, else its own best."""
     held = np.array(
         [
             np.interp(_BETWEEN_DEG, case["from_deg"], case["wind_mps"], period=360.0)
@@ -165,7 +159,7 @@ _LOOKS = {
 
 
 def answers(table: pd.DataFrame, title: str) -> Any:
-    """A bar for each solver: which share of the QPs at the edge it answers how.
+    """Draw, for each solver, the shares of the QPs at the edge by kind of answer.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ _NAMED = 0.45
 
 
 def spans(table: pd.DataFrame, title: str) -> Any:
-    """A bar over time for each group, coloured and named by state.
+    """Draw a bar over time for each group, coloured and named by state.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
 
 
 def shares(table: pd.DataFrame, title: str) -> Any:
-    """Share of the sample that the QPs of one sample take at most, a mark each.
+    """Draw the largest share of the sample that the QPs of one sample take, a mark each.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 
 
 def _state() -> str:
-    """The state on the slower computer, as an expression: beyond the speed margin it is late."""
+    """Return the expression of the verdict on the slower computer: late beyond the speed margin."""
     good = " || ".join(
         f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
     )
@@ -29,17 +29,15 @@ def _state() -> str:
 
 
 def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """A row per solver: bar from p50 to p99, line on to the hardest step, whisker to the largest
-    single timing where that is longer: a stall of this machine, or a step that was timed once.
+    """Draw p50, p99, hardest step and largest single timing of each solver against the deadline.
 
-    The parameter `slow` of the chart scales all but that whisker, which is this machine's; the
-    colours show the state there, by the speed margin. With `narrow` names stand above their bars;
-    clicking sets `pick`.
+    The parameter `slow` scales all but the largest timing, which is this machine's; colours are
+    verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
 
     Parameters
     ----------
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
-    p99_ms : what the requirements allow.
+    p99_ms : limit of the requirements.
     """
     base = _scaled(table)
     x = _axis(table, deadline_ms)
@@ -52,7 +50,6 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
 
 
 def _scaled(table: pd.DataFrame) -> alt.Chart:
-    """The rows with their times and states on the slower computer."""
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
@@ -79,7 +76,7 @@ def _scaled(table: pd.DataFrame) -> alt.Chart:
 
 
 def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
-    """Times to ten times the deadline, or on to where the slowest is on the slower computer."""
+    """Return an axis to ten times the deadline, or on to the slowest time there."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
     high = max(10.0 * deadline_ms, 1.0)
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
@@ -96,7 +93,7 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
 
 
 def _rows(base: alt.Chart) -> Iterator[Any]:
-    """What takes clicks all over a row, and the mark of the chosen one."""
+    """Draw the areas that take clicks, and the mark of the chosen row."""
     pick = style.picking("id")
     factor = alt.param(name="slow", value=1.0)
     clicked = style.whole_rows(base, alt.Undefined, opacity=0.0)
@@ -105,7 +102,7 @@ def _rows(base: alt.Chart) -> Iterator[Any]:
 
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """What calling costs, whisker, line, bar and marker of each row."""
+    """Draw the call overhead, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.coloured("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
@@ -124,8 +121,7 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """The deadline and, thinner, what the requirements allow of a p99, with their names; below them
-    what is said of the whiskers."""
+    """Draw deadline and p99 limit with their names, and the remark on the whiskers below."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

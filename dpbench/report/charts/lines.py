@@ -20,7 +20,7 @@ def lines(
     *,
     limit: float | None = None,
 ) -> Any:
-    """Lines with points on logarithmic axes; a point that is not `good` is hollow.
+    """Draw lines with points on logarithmic axes; a point that is not `good` is hollow.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def lines(
 
 
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Measured against asked, a dot each, with the line on which both are alike.
+    """Draw measured against requested values, with the line on which both are equal.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Counts as tiles with the number in each; zero is pale.
+    """Draw counts as tiles with the number in each; zero is pale.
 
     Parameters
     ----------

@@ -32,18 +32,14 @@ _HEADER = alt.Header(
 
 
 def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
-    """A tile for every solver and experiment, side by side for each settings level, or one below
-    the other for a narrow screen.
+    """Draw a tile for every solver and experiment by settings level, `stacked` for a narrow screen.
 
-    Colour and sign say the same; the tooltip has the largest error and the failed steps. Clicking
-    sets `pick`.
-
-    More experiments than `MOST_ACROSS` stand below each other, solvers side by side; the figure is
-    then marked as `tall` for who has to find a tile in it.
+    Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
+    `usermeta` has `tall`.
 
     Parameters
     ----------
-    table : columns `COLUMNS`, solvers and experiments in the order they are to stand in.
+    table : columns `COLUMNS`, solvers and experiments in their order.
     """
     solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
     levels = table["settings"].unique().tolist()

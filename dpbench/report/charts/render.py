@@ -40,14 +40,13 @@ class _ChartKey:
 
 
 def vega(chart: Any) -> dict[str, Any]:
-    """The specification compiled to Vega, which a page needs the smaller library for; without the
-    title, which stands above it there."""
+    """Compile the chart to Vega without its title, which the page has above it."""
     compiled: dict[str, Any] = json.loads(_compiled(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def svg(chart: Any, *, titled: bool = True) -> str:
-    """The figure as SVG with real text."""
+    """Return the figure as SVG with real text."""
     return _drawn(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
 
 
@@ -63,8 +62,7 @@ NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (
 
 @cache
 def can_draw() -> bool:
-    """Whether the address space that this process may have is enough for the renderer, which
-    otherwise ends the process; tried in another one where there is a limit."""
+    """Return whether the renderer has enough address space; try it apart if that is limited."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return True
@@ -75,10 +73,7 @@ def can_draw() -> bool:
 
 @lru_cache(maxsize=64)
 def _compiled(chart: _ChartKey) -> str:
-    """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
-
-    Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
-    """
+    """Compile a chart to Vega, with labels that avoid each other, which Vega-Lite cannot state."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
     simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(_json(chart.chart)))
@@ -95,7 +90,7 @@ def _drawn(specification: str) -> str:
 
 
 def _names() -> dict[str, Any]:
-    """Names of the points of the layer `NAMES`."""
+    """Return the mark of the labels of the layer `NAMES`."""
     place = {
         "type": "label",
         "size": {"signal": "[width, height]"},
@@ -120,7 +115,7 @@ def _names() -> dict[str, Any]:
 
 
 def encoded(chart: Any, kind: str) -> bytes:
-    """The figure as a file of that kind, of `FORMATS`, or as an html page that fetches nothing."""
+    """Return the figure as a file of a kind of `FORMATS`, or as a self-contained HTML page."""
     if kind == "html":
         page = io.StringIO()
         chart.save(page, format="html", inline=True)
@@ -147,7 +142,7 @@ def _json(chart: Any) -> dict[str, Any]:
 
 @cache
 def _version() -> str:
-    """The newest version of the grammar that the compiler has, up to that of the charts."""
+    """Return the newest version of the grammar that the compiler has, up to that of the charts."""
     wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
     known = list(vlc.get_vegalite_versions())
     return wanted if wanted in known else max(known, key=lambda v: [int(x) for x in v.split(".")])

@@ -89,7 +89,7 @@ def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def _of_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
-    """A panel for each axis, with limits (3,)."""
+    """Draw a panel for each axis, with limits (3,)."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         title = f"{sign}{name} [{shown}]"
@@ -110,7 +110,6 @@ def _force(
 
 
 def _note(text: str) -> Any:
-    """A remark in the upper right corner of a panel."""
     mark = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
     place = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(text)}
     return style.inline({}).properties(mark=mark).encode(**place)
@@ -126,7 +125,7 @@ def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:
 
 
 def _room(laws: Sequence[Law]) -> int:
-    """How many points of each run a figure of these draws."""
+    """Return how many points of each run a figure draws."""
     return min(MOST, MOST_TOGETHER // len(laws))
 
 
@@ -153,7 +152,6 @@ def _limits(values: Sequence[float]) -> Any:
 
 
 def _stack(panels: Sequence[Any]) -> Any:
-    """Panels above each other on one time axis, which the last one names."""
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*panels, spacing=4, resolve=shared)
 
@@ -169,7 +167,7 @@ def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
 
 
 def _alike(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
-    """Axes of equal scale around all points."""
+    """Return axes of equal scale around all points."""
     middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
     half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
 

@@ -17,14 +17,13 @@ _WIDTH = 620
 
 
 def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
-    """Four strips on one axis, three of a replay, which has no forces; a vertical line stands at
-    the parameter `at`.
+    """Draw the steps of a run as strips over k; the parameter `at` marks a step.
 
     Parameters
     ----------
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
-    error_limit : what the error of the first move may be.
+    error_limit : limit on the error of the first move.
     """
     at = alt.param(name="at", value=-1)
     steps = _steps("steps", table)
@@ -50,7 +49,7 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float)
 
 
 def _steps(name: str, table: pd.DataFrame) -> alt.Chart:
-    """A chart of rows under a name, by which the page fills in those of another run."""
+    """Return a chart of rows under the name by which the page replaces them."""
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return style.inline(*({str(k): v for k, v in row.items()} for row in rows), name=name)
 
@@ -102,12 +101,13 @@ def _forces(forces: alt.Chart) -> Any:
 
 
 def pairs(first: str, second: str) -> Any:
-    """Scatter of step times on equal axes with the line where both are as fast; the page fills the
-    data set `pairs`: k, a_us, b_us, sequence.
+    """Draw the step times of two configurations on equal axes, with the line of equal times.
+
+    The page fills the data set `pairs`: k, a_us, b_us, sequence.
 
     Parameters
     ----------
-    first, second : what the axes say.
+    first, second : titles of the axes.
     """
     data = style.inline(name="pairs")
     scale = style.log_scale(nice=False, padding=6)

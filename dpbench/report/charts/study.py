@@ -20,12 +20,12 @@ _CHOSEN = "datum.chosen"
 
 
 def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Share of seas held over two keys, a map a configuration.
+    """Draw the share of seas held over two keys, a map a configuration.
 
     Parameters
     ----------
     table : columns configuration, x, y, held and runs.
-    x, y : names of the keys; drawn : whether their values are drawn, and so no grid.
+    x, y : names of the keys; drawn : place values on axes instead of a grid.
     """
     names = list(dict.fromkeys(table["configuration"]))
     apart = alt.Scale(zero=False)
@@ -64,12 +64,12 @@ def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
 
 
 def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea, the mean and its interval.
+    """Draw the excess error of each configuration: a dot a sea, the mean and its interval.
 
     Parameters
     ----------
     table : name and `mean_cm`, in the order of the rows; seas : name, behind_cm, point, replicate.
-    small_cm : what is small, drawn as a band.
+    small_cm : half the width of the band of small differences.
     """
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error behind the reference, same sea [cm]"
@@ -97,7 +97,7 @@ _MEAN_TIPS = (
 
 
 def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """The intervals of the means, and the means; of columns as of `mean_cm`."""
+    """Draw the intervals of the means, and the means."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"
@@ -106,15 +106,14 @@ def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
 
 
 def _band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    """What is small, to either side of none."""
     ends = style.inline({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
 
 def design(*, tiles: bool) -> Any:
-    """The points of a design over two keys, coloured by how many of their seas are held: as tiles
-    with counts, or each where its values are. The page fills the data set `design`: x, y, state (of
-    `HELD`), said, chosen, point.
+    """Draw the points of a design by seas held, as tiles with counts or at their values.
+
+    The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
     """
     kind = "O" if tiles else "Q"
     # The page puts the names of the keys, of signals called like this, at the axes.
@@ -144,9 +143,10 @@ def design(*, tiles: bool) -> Any:
 
 
 def behind_there(small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea of the chosen point, mean and
-    interval over all points. The page fills `means` (name, as of `mean_cm`, c, chosen) and
-    `seas` (name, c, behind_cm, replicate, chosen).
+    """Draw the excess errors at the chosen point, and the means over all points.
+
+    The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, behind_cm,
+    replicate, chosen).
     """
     who = style.tip("name:N", "configuration")
     rows = alt.Y("name:N", title=None, sort=None, axis=style.row_names())
@@ -174,9 +174,9 @@ def behind_there(small_cm: float) -> Any:
 
 
 def seas_there() -> Any:
-    """The seas of the chosen point, those calm for the reference first: how far off the chosen
-    configuration and the reference are. The page fills `there`: order, value, who, replicate,
-    chosen; and `radius`: limit.
+    """Draw the largest radial error in each sea of the chosen point, chosen against reference.
+
+    The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """
     radius = (
         style.inline(name="radius")

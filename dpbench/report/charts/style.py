@@ -38,25 +38,25 @@ other name and left out where there is no room."""
 
 
 def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
-    """What each name looks like: colours, shapes or dashes."""
+    """Return a scale from names to colours, shapes or dashes."""
     return alt.Scale(domain=list(names), range=list(looks))
 
 
 def coloured(
     field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
 ) -> alt.Color:
-    """A colour for each name, with a legend `below`."""
+    """Return a colour channel by name, with a legend `below`."""
     scale = names_scale(names, colours)
     return alt.Color(f"{field}:N", scale=scale, title=title, legend=below(**legend))
 
 
 def picking(*fields: str) -> alt.Parameter:
-    """The selection `pick`, which clicking sets to the fields of a mark."""
+    """Return the selection `pick`, which clicking sets to the fields of a mark."""
     return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
 
 
 def narrow() -> alt.Parameter:
-    """The parameter `narrow`, which the page sets where there is little room."""
+    """Return the parameter `narrow`, which the page sets where there is little room."""
     return alt.param(name="narrow", value=False)
 
 
@@ -65,12 +65,11 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 
 
 def row_names(limit: int = 260, **options: Any) -> alt.Axis:
-    """Names of rows: beside the figure, and where it is `narrow` above what is drawn for each.
+    """Return an axis with names beside the figure, or above each row where it is `narrow`.
 
     Parameters
     ----------
     limit : of their length beside the figure [px].
-    options : as of `altair.Axis`.
     """
 
     def at(narrow: object, wide: object) -> alt.ExprRef:
@@ -88,17 +87,17 @@ def row_names(limit: int = 260, **options: Any) -> alt.Axis:
 
 
 def log_scale(**options: Any) -> alt.Scale:
-    """A logarithmic scale; `options` as of `altair.Scale`."""
+    """Return a logarithmic scale."""
     return alt.Scale(type="log", **options)
 
 
 def below(**options: Any) -> alt.Legend:
-    """A legend below its figure; `options` as of `altair.Legend`."""
+    """Return a legend below its figure."""
     return alt.Legend(orient="bottom", **options)
 
 
 def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
-    """A word (`:N`) or a number, to so many digits, in a tooltip, under its own name or a title."""
+    """Return a tooltip entry of a text (`:N`) or a number with so many digits."""
     form = alt.Undefined if field.endswith(":N") else f".{digits}~g"
     return alt.Tooltip(field, title=title, format=form)
 
@@ -109,35 +108,30 @@ def either(test: Any, yes: object, no: object) -> Any:
 
 
 def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
-    """A row for each name, in this order; None: as they come. `axis` as of `altair.Axis`."""
+    """Return a row for each name, in this order; None: in the order of the data."""
     return alt.Y(f"{field}:N", title=None, sort=names, axis=alt.Axis(**axis))
 
 
 def inline(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
-    """A chart of a few values; of none where the page fills the data set `name`."""
+    """Return a chart of a few values; of none where the page fills the data set `name`."""
     return alt.Chart(alt.InlineData(values=list(values), name=name))
 
 
 def limit_rule(limit: float, across: str = "y") -> Any:
-    """A dashed line at what the requirements allow, on the axis `across` which it stands."""
+    """Draw a dashed line at a limit of the requirements, on the axis `across`."""
     rule = inline({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 
 def whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
-    """What marks rows with a name from end to end, as high as they are; `look` as of a rule."""
+    """Draw a mark over whole rows with a name, as high as they are."""
     height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
     ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
 def alike(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
-    """The line on which both coordinates are the same.
-
-    Parameters
-    ----------
-    x, y : the axes, of any fields.
-    """
+    """Draw the line on which both coordinates are equal; x, y : axes of any fields."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
     return inline(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
@@ -153,10 +147,7 @@ _WORDS: dict[str, Any] = {
 
 
 def styled(chart: Any, title: str, description: str) -> Any:
-    """`chart`, changed into the common style; the description is what a screen reader says.
-
-    What is set on a chart is set in place: each of Altair's own methods copies all of its parts.
-    """
+    """Set the common style of a chart in place: Altair's own methods copy all of its parts."""
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description
     chart.background = "transparent"

@@ -44,15 +44,14 @@ LISTED = 5
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What became of each configuration from folder A to folder B.
+    """Verdicts on each configuration from folder A to folder B.
 
     Parameters
     ----------
-    compared : step times with their verdicts; shared : what all configurations of a sequence share.
-    figures : every figure of accuracy and control; pairs : which cells were compared.
-    lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference;
-    alpha : the family-wise error of the claims; reference : the solver that step times are held
-    against, "" where all configurations of a machine are.
+    shared : changes that all configurations of a sequence share.
+    figures : every figure of accuracy and control; lines : the verdict in a few lines of text.
+    margin : ratio that counts as equal; alpha : family-wise error of the claims.
+    reference : solver that step times are divided by, "" for none.
     """
 
     compared: list[Compared]
@@ -70,7 +69,6 @@ class Comparison:
         return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
 
     def _repr_html_(self) -> str:
-        """The verdict, then the tables, as `dpbench compare` prints them."""
         lines = table_html((), [(line,) for line in self.lines], title="Comparison")
         return lines + "".join(html(table) for table in self.tables)
 
@@ -85,8 +83,7 @@ class Comparison:
 
     @property
     def times(self) -> pd.DataFrame:
-        """One row per configuration and sequence: identity, ratios, interval, adjusted p-values,
-        verdict."""
+        """One row per configuration and sequence: ratios, interval, adjusted p-values, verdict."""
         return pd.DataFrame([compared.row for compared in self.compared])
 
     @property
@@ -95,7 +92,7 @@ class Comparison:
         return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
-        """The comparison as a Markdown document."""
+        """Return the comparison as a Markdown document."""
         return document("Comparison", self.lines, self.tables)
 
 
@@ -112,17 +109,15 @@ def compare(
     Parameters
     ----------
     a, b : folders written by `dpbench run`; A is the older one, the baseline.
-    reference : the solver by whose step times all others are measured, so that only ratios to it
-        are compared. Two machines always are: by default with the first of `times.REFERENCES`, or
-        else the solver that both have timed most. One machine: by default with none.
+    reference : solver that all step times are divided by. By default none on one machine; on two
+        the first of `times.REFERENCES` or else the solver that both have timed most.
     margin : a ratio up to 1 + margin either way makes no difference.
     alpha : family-wise error of the claims on step times.
 
     Raises
     ------
-    InputError : for a margin or alpha that cannot be, a reference that was not timed in both; as
-        `ResultsError` for a folder that is missing, damaged, or has no cell in common with the
-        other.
+    InputError : for a margin or alpha out of range, or a reference that was not timed in both; as
+        `ResultsError` for a folder that is missing, damaged, or has no cell in common.
     """
     if not (margin > 0.0 and math.isfinite(margin)):
         raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")
@@ -149,7 +144,7 @@ def compare(
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[Compared], list[Shared], list[str]]:
-    """The verdicts on step times, and what is to be said of how they were compared."""
+    """Compare step times; return verdicts, shared changes, and remarks on the method."""
     said = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
@@ -168,7 +163,6 @@ def _compare_times(
 
 
 def _machine(view: Records) -> str:
-    """On what a folder was measured, and how quiet that was while replays were timed."""
     said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = disturbance_of(timed_runs(view))
     return f"{said}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else said

@@ -1,5 +1,4 @@
-"""A comparison as a page, in the style of the report: one file, one chosen configuration, kept in
-the address."""
+"""Comparison of two result folders as a page: one file with one selection in the address."""
 
 from __future__ import annotations
 
@@ -72,7 +71,7 @@ def _is_times(table: Table) -> bool:
 
 
 def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
-    """The table of times in the order of the page, without `LEFT_OUT`."""
+    """Return the table of times in the order of the page, without `LEFT_OUT`."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
@@ -81,7 +80,6 @@ def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
 
 
 def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
-    """The data of the page: every configuration with its steps, and the figures."""
     block, addresses = Block(), _addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -105,7 +103,7 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> s
 
 
 def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
-    """Both times of each step, element 0 for step `first`; nothing of a folder without steps."""
+    """Pack both times of each step, element 0 for step `first`; nothing without steps."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
@@ -115,7 +113,7 @@ def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
 
 
 def _addresses(order: Sequence[Compared]) -> list[str]:
-    """The fragment that chooses each, named as on the page of a run; of several alike, numbered."""
+    """Return the fragment that selects each; those of equal ones are numbered."""
     seen: dict[str, int] = {}
     addresses = []
     for one in order:
@@ -143,7 +141,7 @@ def lead(comparison: Comparison) -> list[str]:
 
 
 def said(one: Compared) -> str:
-    """The verdict on one configuration with its figures."""
+    """State the verdict on one configuration with its figures."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
     return (
@@ -194,11 +192,11 @@ _TIPS = [
 
 
 def ratios(table: pd.DataFrame, margin: float) -> Any:
-    """B over A less the machine factor, with its interval; dotted: no difference.
+    """Draw B over A less the machine factor, with its interval; dotted: no difference.
 
     Parameters
     ----------
-    table : of `ratio_table`; margin : what is no difference.
+    table : of `ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(
         y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
@@ -235,7 +233,7 @@ def both(table: pd.DataFrame) -> Any:
 
 
 def claims_first(compared: Sequence[Compared]) -> list[Compared]:
-    """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
+    """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
         compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
@@ -243,8 +241,7 @@ def claims_first(compared: Sequence[Compared]) -> list[Compared]:
 
 
 def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
-    """A row for each, the largest ratio first: `id`, its number; name, ratio, low, high, verdict,
-    a_us, b_us, the median step in either run, and sequence."""
+    """Return a row for each comparison, the largest ratio first; `id` is its number."""
     rows = [
         {
             "id": str(i),

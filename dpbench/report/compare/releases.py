@@ -50,8 +50,8 @@ class Releases:
 
     Parameters
     ----------
-    lines : what was compared, and what changed, in a few lines; tables : one a solver of several
-        versions, and one of all the others; requirements : of the first folder.
+    lines : what was compared; tables : one a solver of several versions, and one of all the others.
+    requirements : of the first folder.
     """
 
     histories: Histories
@@ -61,12 +61,12 @@ class Releases:
     requirements: Requirements
 
     def markdown(self) -> str:
-        """The releases as a Markdown document."""
+        """Return the releases as a Markdown document."""
         return document("Solvers over their releases", [*self.lead, *self.lines], self.tables)
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Each solver of some result folders over its versions.
+    """Compare each solver of some result folders over its versions.
 
     Parameters
     ----------
@@ -96,13 +96,12 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 
 def _changed(histories: Histories) -> dict[str, list[History]]:
-    """By solver, the histories of those with several versions."""
+    """Return, by solver, the histories of those with several versions."""
     by_solver = grouped(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
 def _lead(histories: Histories) -> list[str]:
-    """A sentence for each solver of several versions, from its most usual configuration."""
     by_solver = _changed(histories)
     if not by_solver:
         return ["No solver has two versions in these folders."]
@@ -110,7 +109,7 @@ def _lead(histories: Histories) -> list[str]:
 
 
 def _sentence(solver: str, own_histories: Sequence[History]) -> str:
-    """Times of its most usual replay; errors and failed steps of all that both releases ran."""
+    """State times of the most usual replay; errors and failed steps of all common runs."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
@@ -219,7 +218,7 @@ def _folders(release: Release, histories: Histories) -> str:
 
 
 def _count(value: float) -> str:
-    """A count per round, whole where it is in every round."""
+    """Format a count per round, whole where it is in every round."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
@@ -260,7 +259,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
 
 
 def release_times(table: pd.DataFrame, unit: str) -> Any:
-    """A row per version: point p50, bar to p99, line to the largest step; a panel per problem.
+    """Draw p50, p99 and largest step of each version, a panel per problem.
 
     Parameters
     ----------
@@ -276,7 +275,7 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
 
 
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """A row per version: the largest error of the first move, against what the requirements allow.
+    """Draw the largest error of the first move of each version, against its limit.
 
     Parameters
     ----------

@@ -30,8 +30,7 @@ STOPPED = "not comparable (stopped by a time limit)"
 
 
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
-    """One row per solver: what its configurations together say of step times, accuracy and
-    control."""
+    """Return one row per solver: verdicts of all its configurations together."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted(set(names)):
@@ -57,7 +56,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
 
 
 def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
-    """One word for the verdicts of several; `order`: the two claims, then what claims less."""
+    """Merge several verdicts into one; `order`: the two claims, then the weaker ones."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
         return f"{claims[0]} and {claims[1]}"
@@ -78,8 +77,7 @@ def times_table(
     ordered: bool = False,
     reference: str = "",
 ) -> Table:
-    """One row per configuration and sequence, those with a claim first; as they come if
-    `ordered`."""
+    """Return one row per configuration and sequence, claims first unless they are `ordered`."""
     machine = f"that ratio of {reference}, the reference" if reference else ALL_OTHERS
     rows = (
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
@@ -112,7 +110,7 @@ def _time_row(compared: Compared) -> dict[str, str]:
 
 
 def shared_line(shared: Shared) -> str:
-    """What all configurations of a sequence have in common, and whether that is the machine."""
+    """State the change that all configurations of a sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     said = f"`{shared.sequence}`: step times of "
     said += f"{plural(shared.configurations, 'configuration')} {moved} together "
@@ -129,7 +127,7 @@ def shared_line(shared: Shared) -> str:
 
 
 def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
-    """The figures that changed, worse ones first; None where none did."""
+    """Return the figures that changed, worse ones first; None where none did."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None

@@ -28,11 +28,11 @@ MOST_CONFIGURATIONS = 3
 
 
 def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str, list[WorstStep]]:
-    """One solver beside others as Markdown of at most `MOST_BYTES`, and its worst steps.
+    """Compare one solver with others in `MOST_BYTES` of Markdown; also return its worst steps.
 
     Parameters
     ----------
-    others : whom to set it beside; by default those of `USUAL` that ran.
+    others : solvers to compare with; by default those of `USUAL` that ran.
 
     Raises
     ------
@@ -78,7 +78,6 @@ def _paired(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
-    """Its worst steps, with the same figure of the others at the same step."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]

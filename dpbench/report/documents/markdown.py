@@ -34,7 +34,7 @@ HEAD = (
 def report_markdown(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> str:
-    """The report in Markdown, at most `MOST_BYTES` long."""
+    """Return the report in Markdown, at most `MOST_BYTES` long."""
     suite = results.suite
     lead = [topic.lines[0] for topic in topics if topic.leads]
     said = (
@@ -61,13 +61,13 @@ def report_markdown(
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
-    """A row for each configuration, in Markdown; empty without one."""
+    """Return a Markdown row for each configuration; empty without one."""
     rows = solver_rows(data, verdicts)
     return markdown(HEAD, rows, 3) if rows else ""
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """A row for each configuration, under `HEAD`."""
+    """Return a row for each configuration, under `HEAD`."""
     return [
         (
             verdict.configuration.solver,

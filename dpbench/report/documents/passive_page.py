@@ -1,4 +1,4 @@
-"""Whether a page that others sent is passive: no script in it, and nothing that is loaded.
+"""Check that a page from others is passive: no script in it, and nothing that is loaded.
 
 The page cannot be compared with one written anew, as verdicts need the steps, which are not sent.
 So its markup is held against what pages without scripts are made of, in this and earlier releases.
@@ -64,7 +64,7 @@ def check_passive(page: str, where: str) -> None:
 
 
 def _active(page: str) -> Iterator[tuple[int, str]]:
-    """Whatever is not passive, and where."""
+    """Yield what is not passive, and where."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"
     if _ENCODED.search(page, 0, _PREFIX) is None:

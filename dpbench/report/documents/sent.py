@@ -1,7 +1,7 @@
-"""A result folder as it is sent to others: `results/community/`.
+"""Result folder as it is sent to others, `results/community/`.
 
-The page without its scripts, the runs, machine and suite, capability plots where there are any, and
-who ran them how. The steps stay at home: they are a hundred times as large.
+The page without scripts, runs, machine, suite, capability plots and a form for the sender. The
+steps stay at home: they are a hundred times as large.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class Sender(BaseModel):
 
 
 def prepare(folder: Path, target: Path) -> None:
-    """Copy of a result folder what is sent, into a folder of its own, with a form for the sender.
+    """Copy the files to send into a folder of their own, with a form for the sender.
 
-    A `sender.toml` that is there already is kept.
+    An existing `sender.toml` is kept.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def prepare(folder: Path, target: Path) -> None:
 
 
 def check_sent(folder: Path) -> str:
-    """Whether a folder that was sent is whole and readable; what it is, in one line.
+    """Check that a folder that was sent is complete and readable; return its description.
 
     Raises
     ------
     ResultsError : naming the first file at fault: missing, damaged, too much, of another machine,
-        or a page of other runs. InputError : for what `sender.toml` says.
+        or a page of other runs. InputError : for the contents of `sender.toml`.
     """
     where = str(folder)
     size = sum(path.lstat().st_size for path in folder.glob("*"))
@@ -119,12 +119,10 @@ def _strangers(folder: Path) -> list[str]:
 
 
 def _copied(folder: Path) -> list[str]:
-    """What of a folder goes along."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
 def _check_runs(folder: Path, results: Results) -> None:
-    """Runs there are, all of the machine described, none lost by the harness."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")
@@ -138,7 +136,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """The page names the very files beside it, by their hashes, and has no script."""
+    """Check that the page names the files beside it by their hashes, and has no script."""
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")

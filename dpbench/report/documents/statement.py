@@ -1,7 +1,6 @@
-"""The statement: one page that a control engineer can give to a class society.
+"""Statement: one page that a control engineer can give to a class society.
 
-What is recommended, in numbers; where that is valid; what was run it on, with hashes; what is not
-covered. It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
+It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Line:
 
 
 def statement_svg(folder: Path, results: Results, data: PageData) -> str:
-    """The statement on a result folder as SVG, A4.
+    """Return the statement on a result folder as SVG, A4.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""What the page knows of a result folder: what was run where, and the packed steps of each run.
-
-The page refers to a configuration and an experiment by their numbers.
-"""
+"""Data of the page: the runs by configuration and experiment, both by number, and packed steps."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ class PageData(RunMatrix):
 
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """The data of some records; of studies those that the page has room for."""
+        """Select the data of some records; of studies the runs that the page has room for."""
         return cls.from_records(records, verdicts, shown(records.study), MOST_LOOPS)
 
     @cached_property
@@ -51,8 +48,7 @@ class PageData(RunMatrix):
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Configuration and experiment that a page opens with on which nothing is judged but a
-        study; None of another."""
+        """Numbers of the configuration and experiment that a page on studies alone opens with."""
         if self.judged_experiments or not self.studies:
             return None
         run = opening(self.studies[0], shown(self.records.study))
@@ -62,8 +58,7 @@ class PageData(RunMatrix):
 
     @cached_property
     def kept(self) -> dict[str, KeptRun]:
-        """What the page keeps of every run that left a counting step, by its id; in the order of
-        the steps, which are read once."""
+        """Kept steps of every run with a counting step, by id, in the order of the steps file."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, KeptRun] = {}
@@ -129,7 +124,7 @@ class PageData(RunMatrix):
 
 
 def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
-    """The hardest steps by each measure: k, figure, status, claimed, true, active limits."""
+    """Return the hardest steps by each measure: k, figure, status, claimed, true, active limits."""
     return [
         [
             [row.k, number(row.value), row.status, int(row.claimed), int(row.true), row.n_active]
@@ -140,7 +135,7 @@ def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
 
 
 def number(value: object) -> float | str | None:
-    """A number as JSON has it: None where it is missing, "inf" where it is infinite."""
+    """Convert a number to JSON: None where it is missing, "inf" where it is infinite."""
     x = as_float(value)
     if math.isnan(x):
         return None
@@ -148,6 +143,6 @@ def number(value: object) -> float | str | None:
 
 
 def columns_of(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Rows of one kind as columns."""
+    """Turn rows of one kind into columns."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}

@@ -23,11 +23,11 @@ from dpbench.report.page.terms import Word
 def page_document(
     data: PageData, results: Results, recommendation: Recommendation, words: Mapping[int, Word]
 ) -> dict[str, Any]:
-    """Everything but the figures; arrays of numbers go into `data.block`.
+    """Return all data of the page but the figures; arrays of numbers go into `data.block`.
 
     Parameters
     ----------
-    words : on each experiment, by its number.
+    words : descriptions of experiments, by number.
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}
@@ -54,7 +54,6 @@ def page_document(
 def _configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
-    """What the page says of a configuration; of one that is not judged only what it is."""
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **configuration_columns(c),
@@ -74,8 +73,7 @@ def _configuration(
 
 
 def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the steps of windows that bound it: the
-    experiment of their loop, the sample and the time [ns]."""
+    """Return the speed margin and the window steps that bound it: experiment, k, time [ns]."""
     margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
@@ -94,7 +92,7 @@ def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
 
 
 def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
-    """The largest single timing of a configuration [ns], and its experiment."""
+    """Return the largest single timing of a configuration [ns], and its experiment."""
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
@@ -102,8 +100,7 @@ def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
 
 
 def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
-    """What the page opens with: two configurations, and the step that the suite is about; and of
-    each solver the configuration that the figures of the answer show."""
+    """Return the selection that the page opens with, and the best configuration of each solver."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (
@@ -124,8 +121,7 @@ def _opening(data: PageData, results: Results, recommendation: Recommendation) -
 
 
 def _experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
-    """What the page says of each experiment, from the first run there; the seas of a study whose
-    loops the page has no room for are experiments without one."""
+    """Describe each experiment by its first run; a sea without a loop on the page has none."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
         _experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
@@ -153,6 +149,5 @@ def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -
 
 
 def _solver(name: str) -> dict[str, str]:
-    """What is known of a solver; of one that is not installed here, nothing."""
     known = known_record(name)
     return {"family": family_of(name), "method": known.method if known else ""}

@@ -47,7 +47,7 @@ MATRIX = (
 
 
 def _matrix_text(data: PageData) -> str:
-    """What the tiles are; and how many experiments are left out, where there are too many."""
+    """Explain the tiles, and how many experiments are left out."""
     tiles = tile_table(data)
     there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     said = [MATRIX]
@@ -60,7 +60,7 @@ def _matrix_text(data: PageData) -> str:
 
 
 def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
-    """What who gives a solver such a QP has to know: how many then fail at their defaults."""
+    """State how many solvers fail in SI units with default settings."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
     ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
     asked = ran[ran["settings"] == "default"]
@@ -71,7 +71,6 @@ def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
 
 
 def _strips(data: PageData) -> Charts:
-    """The steps of one run, which the script fills in."""
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
@@ -83,12 +82,11 @@ def _strips(data: PageData) -> Charts:
 
 
 def _pairs(data: PageData) -> Charts:
-    """Two configurations; the axes are named by signals of these names, which the script adds."""
+    """Draw the axes by signals of these names, which the script adds."""
     return {"pairs": pairs("first", "second")} if len(_replayed(data)) > 1 else {}
 
 
 def _replayed(data: PageData) -> set[int]:
-    """The configurations with a replay, by number."""
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
@@ -135,12 +133,12 @@ SECTIONS = (
 
 
 def charts_of(data: PageData) -> dict[str, Charts]:
-    """The figures of each section, by its id."""
+    """Return the figures of each section, by its id."""
     return {section.id: section.charts(data) for section in SECTIONS}
 
 
 def drawn_figures(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
-    """Those that are on the page before any script has run, by name."""
+    """Return the figures that are on the page before any script has run, by name."""
     return {
         name: charts[section.id][name]
         for section in SECTIONS

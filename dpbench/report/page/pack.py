@@ -46,29 +46,28 @@ class Block:
         self._size = 0
 
     def log(self, values: ArrayLike, places: int | None = None) -> int:
-        """Positive numbers over many decades, such as times and errors."""
+        """Add positive numbers over many decades, such as times and errors."""
         return self._add("log", log_codes(values), 1.0, places)
 
     def linear(self, values: ArrayLike, scale: float) -> int:
-        """Numbers as multiples of `scale`, cut off at 32767 of them."""
+        """Add numbers as multiples of `scale`, cut off at 32767 of them."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
         return self._add("linear", _differences(codes.astype(np.int16).view(np.uint16)), scale)
 
     def count(self, values: ArrayLike, places: int | None = None) -> int:
-        """Whole numbers from 0 to 65534; NaN and negative ones are missing."""
+        """Add whole numbers from 0 to 65534; NaN and negative ones are missing."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
         return self._add("count", _differences(codes.astype(np.uint16)), 1.0, places)
 
     def flag(self, values: ArrayLike, places: int | None = None) -> int:
-        """Bytes."""
+        """Add bytes."""
         return self._add("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
     def place(self, values: ArrayLike, length: int) -> int:
-        """Where elements stand in an array of that length, rising; ValueError where two are more
-        than 65535 apart."""
+        """Add rising places in an array of `length`; ValueError where two are over 65535 apart."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
@@ -83,7 +82,7 @@ class Block:
         return len(self._entries) - 1
 
     def text(self, document: dict[str, Any]) -> str:
-        """The block with `document`, as base64."""
+        """Return the block with `document`, as base64."""
         head = json.dumps(
             document | {"arrays": self._entries},
             separators=(",", ":"),
@@ -95,7 +94,7 @@ class Block:
 
 
 def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
-    """The codes of a `log` array; negative numbers are missing."""
+    """Return the codes of a `log` array; negative numbers are missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.round(PER_DECADE * (np.log10(x) - np.log10(SMALLEST))) + 2
@@ -105,10 +104,8 @@ def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
 
 
 def _differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Each less the one before, modulo 2**16."""
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
 def _planes(codes: NDArray[np.uint16]) -> bytes:
-    """All low bytes, then all high ones."""
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()

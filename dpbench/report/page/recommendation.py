@@ -66,7 +66,7 @@ class Recommendation:
 
     @staticmethod
     def why(verdict: Verdict) -> str:
-        """What is said against a configuration, or leaves it inconclusive."""
+        """Explain why a configuration does not pass, or is inconclusive."""
         if verdict.refusal:
             return verdict.refusal
         if verdict.state == "pass":
@@ -81,7 +81,7 @@ def build_recommendation(
 
     Parameters
     ----------
-    baseline : the solver to set beside it; by default a faster one, or the next.
+    baseline : solver to compare with; by default a faster one, or the next.
 
     Raises
     ------
@@ -129,14 +129,13 @@ def _sentence(data: PageData, found: SolverChoice) -> str:
 
 
 def _no_solution(data: PageData, c: Configuration) -> str:
-    """Steps on which right means to report that there is no solution."""
     steps, told = data.without_solution(c)
     said = ", and it said so" if told else ""
     return f" ({plural(steps, 'step')} had no solution{said})" if steps else ""
 
 
 def _nothing(data: PageData, found: SolverChoice) -> str:
-    """Why nothing is recommended; empty where nobody asked for a recommendation."""
+    """Explain why nothing is recommended; empty where no recommendation was asked for."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
         return unmarked(why_nothing(records, data.verdicts, found))
@@ -146,7 +145,7 @@ def _nothing(data: PageData, found: SolverChoice) -> str:
 
 
 def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """What belongs to the recommendation, each with a word for what it is about."""
+    """Yield the notes to the recommendation, each under a keyword."""
     chosen = found.chosen
     if chosen is None:
         return
@@ -168,7 +167,7 @@ def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
 
 
 def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Faster configurations that are inconclusive; none beside one that is no answer anyway."""
+    """Yield faster configurations that are inconclusive."""
     if found.chosen is None or found.chosen.state != "pass":
         return
     known = None if found.faster is None else found.faster.configuration.solver
@@ -207,7 +206,6 @@ def slower_text(data: PageData, chosen: Verdict) -> str:
 
 
 def _slow_step_text(step: SlowStep) -> str:
-    """The time of a step, where it is, and how much work that is."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
@@ -237,7 +235,7 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
 
 
 def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
-    """How the solver did in an experiment where only other call modes of it were run."""
+    """Describe the other call modes of a solver in an experiment where this one was not run."""
     if (data.index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}
@@ -249,8 +247,7 @@ def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
 
 
 def call_text(c: Configuration) -> str:
-    """The call that opens a configuration, and its settings in numbers; of a solver or settings
-    that this installation does not know the call alone."""
+    """Return the call that opens a configuration, and its settings in numbers if they are known."""
     call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
@@ -264,7 +261,7 @@ def call_text(c: Configuration) -> str:
 
 
 def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
-    """What to paste: each language with its text; C where the solver's record says how."""
+    """Yield code to paste by language; C where the solver's record describes it."""
     yield "Python", call_text(c)
     options = level_options(c.settings, c.solver)
     known = known_record(c.solver)

@@ -1,4 +1,4 @@
-"""The steps of every run, packed: times, errors, iterations, active limits, and the ship's track.
+"""Packed steps of every run, and the ship's track.
 
 The track of a closed loop is stored as its distance from that of the run which follows the exactly
 solved loop most closely: most ships sail the same line to a millimetre, and zeros pack to nothing.
@@ -42,7 +42,7 @@ class Room:
 
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
-        """The room when runs of these lengths share the page; short ones stay whole."""
+        """Share the page among runs of these lengths; short ones stay whole."""
         more = max(0, len(lengths) - MANY_RUNS)
         points = share(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
         steps = share(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
@@ -50,8 +50,7 @@ class Room:
 
 
 def pack_steps(block: Block, run: KeptRun) -> dict[str, int]:
-    """The steps of a run, as numbers of arrays in `block`, element 0 for step `first`; elements of
-    steps that were not recorded, or not kept, are missing."""
+    """Pack the steps of a run, element 0 for step `first`; steps not kept are missing."""
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
@@ -80,8 +79,7 @@ def pack_steps(block: Block, run: KeptRun) -> dict[str, int]:
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
-    """A track as numbers of arrays: its distance from `reference` where both keep the same steps,
-    else as it is."""
+    """Pack a track, as its distance from `reference` where both keep the same steps."""
     position, force = track.position.copy(), track.force.copy()
     if reference is not None and reference.every == track.every:
         count = min(len(position), len(reference.position))

@@ -20,8 +20,7 @@ MOST_LOOPS = 400
 
 
 def shown(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """The runs of studies that the page shows, the first sea of every point first; the first
-    `MOST_LOOPS` of them with their steps."""
+    """Select the runs of studies for the page, the first sea of every point first."""
     solving = [run for run in runs if not run.is_baseline_law]
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
 
@@ -29,12 +28,12 @@ def shown(runs: Iterable[RunRecord]) -> list[RunRecord]:
 def study_document(
     study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
 ) -> dict[str, Any]:
-    """What the page's script draws of a study.
+    """Return the data of a study for the page's script.
 
     Parameters
     ----------
     runs : those that are shown, by run_id.
-    number_of : by the name of a configuration its number on the page.
+    number_of : number on the page of a configuration, by name.
     """
     rows = study.runs[study.runs["run_id"].isin(list(runs))]
     names = [c.name for c in study.configurations if c.name in number_of]
@@ -64,16 +63,18 @@ def study_document(
 
 
 def opening(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
-    """The run that a page about a study opens with: of the configuration that holds fewest seas,
-    or else the one farthest from the exactly solved loop, a sea that it does not hold, or else the
-    one in which it is farthest off; None where nothing is shown."""
+    """Choose the run that a page on a study opens with; None where nothing is shown.
+
+    Of the configuration that holds fewest seas, or else the one farthest from the exact loop; a sea
+    that it does not hold, or else the one in which it is farthest off.
+    """
     kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
     worst = worst_run(study, list(kept))
     return None if worst is None else kept[worst]
 
 
 def _mean(study: Study, name: str) -> dict[str, Any]:
-    """The mean over all seas with its interval [cm], and the share that is held."""
+    """Return the mean over all seas with its interval [cm], and the share that is held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
     if found.error_excess_m is None or found.error_excess_m.pairs == 0:
@@ -82,11 +83,10 @@ def _mean(study: Study, name: str) -> dict[str, Any]:
 
 
 def _short(values: Iterable[float]) -> list[float | None]:
-    """Four digits, as many as the page prints; None for what is missing."""
+    """Round to four digits, as the page prints; None for what is missing."""
     return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
 
 
 def _plain(value: Any) -> Any:
-    """A number or text as JSON has it."""
     plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain

@@ -82,7 +82,7 @@ MOST_ROWS = 3000
 
 
 def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
-    """The runs as columns of text and numbers; those without any value are left out."""
+    """Return the runs as columns of text and numbers; those without any value are left out."""
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
@@ -118,26 +118,22 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _verdict_alone(data: PageData, key: tuple[int, int] | None) -> str:
-    """The verdict on a run alone; "" of one that is not judged."""
     return "" if key is None or data.experiments[key[1]].study else data.state(*key)
 
 
 def _where(run: RunRecord) -> str:
-    """Where a run was, as the page calls it, however slow the computer."""
     return replace(Experiment.of(run), slowdown=0.0).label
 
 
 def _shown(name: str) -> dict[str, Any]:
-    """What a column is called on the page, and by what its numbers are multiplied there: times are
-    microseconds."""
+    """Return the label of a column on the page, and the scale to it: times are microseconds."""
     if not name.endswith("_ns"):
         return {"label": name}
     return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
 def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """The tiles of as many experiments as the page has room for: of more those where fewest
-    pass."""
+    """Select the tiles of the experiments that the page has room for: those where fewest pass."""
     if len(tiles) <= MOST_TILES:
         return tiles
     experiments = tiles.groupby("experiment", sort=False)["verdict"]

@@ -67,13 +67,13 @@ class Word:
 
 
 def word_of(term: str) -> Word:
-    """A term of the glossary."""
+    """Return a term of the glossary."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
     return Word(f"word-{slug}", term, meanings()[term])
 
 
 class Terms:
-    """Links the terms of one page, each once in a section, and lists those that were met.
+    """Links to the glossary in the texts of one page, each term once in a section.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Terms:
         return ""
 
     def __call__(self, text: str) -> Markup:
-        """A text with its terms linked."""
+        """Link the terms in a text."""
         parts, end = [], 0
         for found in _FOUND.finditer(text):
             phrase = found[0].lower()
@@ -101,7 +101,7 @@ class Terms:
         return Markup("").join([*parts, escape(text[end:])])
 
     def head(self, text: str) -> Markup:
-        """The head of a table: linked where it is a term, its unit aside."""
+        """Link the head of a table where it is a term, its unit aside."""
         term = re.sub(r" \[.*\]$", "", text)
         known = term in _OF_HEADS and term not in self._here
         return self._link(term, text) if known else escape(text)
@@ -113,7 +113,7 @@ class Terms:
 
     @staticmethod
     def link(word: Word, text: str) -> Markup:
-        """A text linked to a word of the page's lists."""
+        """Link a text to a word of the page's lists."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )
@@ -129,7 +129,7 @@ MOST_EXPERIMENTS = 60
 
 
 def experiment_words(data: PageData) -> dict[int, Word]:
-    """The experiments of verdicts, by their number; those without a scenario are left out."""
+    """Describe the experiments of verdicts that have a scenario, by number."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
@@ -164,7 +164,7 @@ def _describe_experiment(data: PageData, experiment: Experiment, run: RunRecord)
 
 
 def _describe_replay(data: PageData, run: RunRecord) -> str:
-    """Which steps of the scenario, and how many of them have something to solve."""
+    """State the window of a replay, and the share of steps with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.kept.get(run.run_id)

@@ -64,13 +64,13 @@ def page_html(
     *,
     light: bool = False,
 ) -> str:
-    """The whole page.
+    """Return the whole page.
 
     Parameters
     ----------
     folder : where the files are that the page links to.
     charts : of `charts_of`; topics : sections below those that follow the selection.
-    light : without scripts and the steps they show: what a browser shows that runs none.
+    light : without scripts and the steps they show.
     """
     shown = [
         section
@@ -129,14 +129,14 @@ WORDS = (
 
 
 def follow(text: str) -> str:
-    """A figure whose plain colours are those of the page."""
+    """Replace the plain colours of a figure by those of the page."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
 def _picture(chart: Any) -> str:
-    """The address of a picture within the page, one node there, in the colours of the page."""
+    """Encode a figure as a `data:` address, one node of the page, in the colours of the page."""
     head, rest = follow(svg(chart)).split(">", 1)
     colours = own("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
@@ -144,7 +144,7 @@ def _picture(chart: Any) -> str:
 
 
 def software_citation(results: Results) -> str:
-    """BibTeX of the dpbench that made a run: its version and commit, and the year of the run."""
+    """Return BibTeX of the dpbench that made a run: version, commit and year of the run."""
     version = f"Software, version {results.suite.get('harness_version', '')}"
     return f"""@misc{{dpbench,
   author = {{{{The dpbench authors}}}},
@@ -162,7 +162,7 @@ def _footer(results: Results) -> str:
 
 
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures as Vega; the narrow matrix takes its tiles from the wide one."""
+    """Return the figures as Vega; the narrow matrix takes its tiles from the wide one."""
     made = {name: specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
@@ -171,18 +171,18 @@ def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def drawn(chart: Any) -> Markup:
-    """A figure as it stands on a page before any script has run."""
+    """Return a figure as SVG for a page before any script has run."""
     return Markup(follow(svg(chart, titled=False)))
 
 
 def specification(chart: Any) -> dict[str, Any]:
-    """A figure as Vega, in the colours of the page."""
+    """Return a figure as Vega, in the colours of the page."""
     made: dict[str, Any] = json.loads(follow(json.dumps(vega(chart))))
     return made
 
 
 def rendered(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
-    """A page out of a template, with the style of all pages, and texts of scripts of its own."""
+    """Render a page from a template, with the common style and its own scripts."""
     texts = [*map(script, vendored()), *scripts]
     shown |= {"css": Markup(own("templates/page.css")), "scripts": list(map(Markup, texts))}
     return environment().get_template(f"{template}.html.j2").render(**shown)
@@ -190,6 +190,7 @@ def rendered(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
 
 @cache
 def environment() -> Environment:
+    """Return the environment of the page's templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),
         autoescape=True,
@@ -201,4 +202,5 @@ def environment() -> Environment:
 
 @cache
 def own(name: str) -> str:
+    """Return a template or script of the page."""
     return files("dpbench.report.page").joinpath(name).read_text(encoding="utf-8")

@@ -33,13 +33,12 @@ def topics_of(
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
 ) -> list[Topic]:
-    """Those that have something to say, the suite's own question first; what nobody asked for is
-    not mentioned.
+    """List the topics with content, the suite's own question first.
 
     Parameters
     ----------
-    designs, capability : what lies beside the runs: of `load_designs` and `load_capability`.
-    known : the studies of these records, where somebody has them already.
+    designs, capability : of `load_designs` and `load_capability`.
+    known : the studies of these records, if they are already read.
     """
     requirements = verdicts.requirements
     replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
@@ -75,13 +74,13 @@ page answers that one alone."""
 
 
 def _mostly_forms(records: Records) -> bool:
-    """Whether more than a third of the runs are of another form than the common one."""
+    """Return whether over a third of the runs are of another form than the common one."""
     ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
     return 3 * (len(ships) - len(records.runs)) > len(ships)
 
 
 def _question(records: Records, topics: Sequence[str]) -> str:
-    """The id of the topic that is what the suite asks; empty where that is which solver to use."""
+    """Return the id of the topic that the suite asks; empty where it asks which solver to use."""
     if "worst-case" in topics:
         return "worst-case"
     if "conclusion" in topics:

@@ -23,7 +23,7 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """The topic; None where the suite has no plot.
+    """Return the topic on capability plots; None without one.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
 
 
 def _held(plot: Plot) -> Iterator[str]:
-    """The least wind held all round, intact and after the worst failure."""
+    """State the least wind held all round, intact and after the worst failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -61,7 +61,7 @@ def _least(edges: pd.DataFrame) -> str:
 
 
 def _who(plot: Plot) -> Iterator[str]:
-    """Who answers all QPs rightly, and who claims what is not true."""
+    """Name the solvers that answer all QPs rightly, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.all_right)
     asked = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""

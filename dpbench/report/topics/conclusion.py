@@ -23,7 +23,7 @@ from dpbench.report.page.section import Topic
 
 
 def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
-    """The topic; None of a suite that is not about thrusters."""
+    """Return the conclusion for a suite about thrusters, else None."""
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
@@ -37,7 +37,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
 
 
 def _use(chosen: Verdict | None, requirements: Requirements) -> str:
-    """Which solver, and how far from the deadline it stays."""
+    """Name the solver to use, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
     share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
@@ -55,7 +55,7 @@ def _label(verdict: Verdict) -> str:
 
 
 def _others(steering: Steering) -> str:
-    """Who is fine for three forces and not here; without such runs, who is fine here."""
+    """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
     before = steering.fine_with_forces
     if not before:
         fine, run = len(steering.fine), len(steering.with_thrusters)
@@ -79,7 +79,7 @@ def _pass(count: int) -> str:
 
 
 def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
-    """Solvers with what is wrong with them, those of the same fault together."""
+    """List solvers with their fault, those of the same fault together."""
     of_fault = grouped(solvers, lambda solver: steering.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
@@ -87,7 +87,7 @@ def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
 def _after_a_loss(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
-    """How far off the ship is once thrusters are lost, where the answers are right."""
+    """State how far off the ship is after thrusters are lost, where the answers are right."""
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
@@ -100,7 +100,7 @@ def _after_a_loss(
 
 
 def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
-    """Which further losses the ship would hold, who knows so at every sample, and at what cost."""
+    """State the further losses that could be held, the solvers that report so, and their times."""
     analyses = consequence_analyses(records)
     if not analyses:
         return
@@ -125,7 +125,7 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
 
 
 def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:
-    """The chosen configuration among some names; "" where it is none of them."""
+    """Return the name of the chosen configuration among some names; "" where it is none of them."""
     c = chosen.configuration
     level = "" if c.settings == "default" else f", {c.settings}"
     known = (
@@ -137,7 +137,7 @@ def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:
 
 
 def _end(analysis: Analysis) -> str:
-    """How many losses could be held at the end of a consequence analysis."""
+    """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())
     count = {0: "none", len(last): "all"}.get(held, str(held))

@@ -25,7 +25,7 @@ MOST_ROWS = 8
 
 
 def consequence_topic(records: Records) -> Topic | None:
-    """The topic; None of records without such an analysis."""
+    """Return the topic on consequence analyses; None without one."""
     analyses = consequence_analyses(records)
     if not analyses:
         return None
@@ -46,7 +46,6 @@ def consequence_topic(records: Records) -> Topic | None:
 
 
 def _figures(analysis: Analysis) -> Iterator[Figure]:
-    """When which loss can be held, and what the best configuration of each solver takes."""
     yield Figure(
         f"consequence-{_file_name(analysis)}",
         spans(analysis.spans, f"Losses held, {analysis.name}"),
@@ -66,12 +65,12 @@ def _figures(analysis: Analysis) -> Iterator[Figure]:
 
 
 def _file_name(analysis: Analysis) -> str:
-    """`thrusters-350-550` of `thrusters[350:550]`."""
+    """Return `thrusters-350-550` for `thrusters[350:550]`."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
 def _when(analysis: Analysis) -> str:
-    """Which losses can be held when, those of the same answer together."""
+    """State which losses can be held when, those of the same answer together."""
     said: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
         said.setdefault(_time(of_group), []).append(str(group))
@@ -80,7 +79,6 @@ def _when(analysis: Analysis) -> str:
 
 
 def _time(of_group: pd.DataFrame) -> str:
-    """When the loss of one group can be held."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -96,7 +94,7 @@ def _time(of_group: pd.DataFrame) -> str:
 
 
 def _who(analysis: Analysis) -> str:
-    """Who answers all of it rightly, who is the fastest of them, and who misses alarms."""
+    """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -112,21 +110,18 @@ def _who(analysis: Analysis) -> str:
 
 
 def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
-    """Whose alarms are missing, the most first."""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
 
 
 def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:
-    """The best configuration of each solver, and how many of its configurations are all right."""
     for solver, best in analysis.best.items():
         right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
         yield row_of(best, right)
 
 
 def row_of(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
-    """The cells of a solver by their heads; `right`: whether each of its configurations is all
-    right."""
+    """Return the cells of a solver by their heads; `right`: of each of its configurations."""
     return {
         "configuration": best.name,
         "p99 share": of_sample_text(best.p99),

@@ -15,7 +15,7 @@ from dpbench.report.table import Table
 
 
 def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """The topic; None of records without closed loops."""
+    """Return the topic on closed loops; None without one."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
     by_name = grouped(steered, lambda run: run.configuration.in_common_formulation.label)
@@ -44,12 +44,11 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _named(names: Sequence[str]) -> str:
-    """All of a few, else how many."""
     return and_list(list(names)) if len(names) <= 4 else f"{len(names)} configurations"
 
 
 def _control(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Steps in which the fallback acted, the largest distance from the exact loop and where."""
+    """Count fallbacks, and find the largest distance from the exact loop."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
     worst = max(off, key=lambda run: run.dev_position_max_m, default=None)

@@ -1,6 +1,6 @@
 """The paper: its figures 4-7 and its claims, each with what the runs show.
 
-The wording of the claims is in `paper.toml`, what decides them in the analysis.
+The wording of the claims is in `paper.toml`, their criteria are in the analysis.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ DRAWN = (
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """The topic, None of records without the paper's own scenario."""
+    """Return the topic on the paper; None without the paper's own scenario."""
     laws, scenario = laws_of(records), records.scenario(PAPER)
     judged = claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
@@ -64,7 +64,6 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
 
 
 def _headline(measured: Sequence[Claim]) -> str:
-    """How many claims are reproduced, and which are not."""
     others = {"not": "not reproduced", "the opposite": "opposite"}
     named = {
         word: [unmarked(claim.claim) for claim in measured if claim.state == state]
@@ -75,14 +74,14 @@ def _headline(measured: Sequence[Claim]) -> str:
 
 
 def held_text(judged: Sequence[Claim]) -> str:
-    """How many of the claims that were measured are reproduced."""
+    """State how many of the measured claims are reproduced."""
     states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
 def _stability(designs: Designs) -> Table:
-    """Largest root of paper eq. 35 and the sway offset held, of each controller."""
+    """Tabulate the largest root of paper eq. 35 and the sway offset held, of each controller."""
     return Table(
         (
             "controller",
@@ -104,7 +103,7 @@ def _stability(designs: Designs) -> Table:
 
 
 def _bracket(bracket: Bracket | None) -> str:
-    """Rounded outwards: held – not held."""
+    """Format a bracket, rounded outwards: held – not held."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -127,14 +126,14 @@ class Claim:
 
 
 def claims(records: Records) -> list[Claim]:
-    """All claims, in the order of the paper."""
+    """Judge all claims, in the order of the paper."""
     asked = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
     said = _WORDS["found"]
     return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
 
 
 def choices(records: Records) -> list[tuple[str, str]]:
-    """What the paper leaves open and what the scenario `paper` of these rows chose."""
+    """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
     scenario = records.scenario(PAPER)
     if scenario is None or not is_of_paper(records, PAPER):
         return []

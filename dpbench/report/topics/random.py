@@ -23,7 +23,7 @@ def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
 
 
 def random_topic(records: Records) -> Topic | None:
-    """The topic; None of records without random QPs."""
+    """Return the topic on random QPs with known optima; None without one."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None

@@ -26,7 +26,7 @@ from dpbench.report.table import Table
 
 
 def routes_topic(records: Records) -> Topic | None:
-    """What the wrapper costs and what keeping a workspace gains; None where not compared."""
+    """Compare call modes: cost of the wrapper, gain of keeping a workspace; else None."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
@@ -51,14 +51,14 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """A ratio with its 95 % interval, where there are steps enough for one."""
+    """Format a ratio with its 95 % interval, where there are steps enough for one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
 def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """The same QPs in other forms; None where no sequence was run in two."""
+    """Compare the formulations of the same QPs; None where no sequence was run in two."""
     tables = _tables(
         records,
         requirements,
@@ -76,7 +76,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """What each settings level costs; None where there is but one."""
+    """Compare the settings levels; None where there is but one."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     tables = _tables(
         records,
@@ -95,8 +95,7 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels(records: Records, requirements: Requirements) -> str:
-    """Which solvers are right on every step with the settings of their library, and which only with
-    others."""
+    """Name the solvers that are right on every step with default settings, and with others only."""
     good = right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -112,8 +111,7 @@ def _right_levels(records: Records, requirements: Requirements) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Two solvers on the same steps, in one call mode and at one setting; None of any other number
-    of solvers, call modes or settings."""
+    """Compare two solvers on the same steps, in one call mode and at one setting; else None."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
@@ -142,8 +140,7 @@ def _tables(
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """For each replayed sequence a table of median step times: a row for what is kept, a column for
-    what is varied; none of sequences where it was not varied."""
+    """Tabulate median step times by sequence: rows by `kept`, columns by `varied`."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
     problems = grouped(replays, lambda run: (run.sequence, run.units))
@@ -162,7 +159,7 @@ def _tables(
 
 
 def _fastest_forms(records: Records, requirements: Requirements) -> str:
-    """How often each form is the fastest right one."""
+    """Count how often each form is the fastest right one."""
     wins = fastest_forms(records, requirements)
     said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
@@ -172,7 +169,7 @@ def _fastest_forms(records: Records, requirements: Requirements) -> str:
 
 
 def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
-    """Median step time of a replay; how it ended where it left no step."""
+    """Format the median step time of a replay, or its outcome without a step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")

@@ -25,7 +25,7 @@ from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """The topic; None without a study."""
+    """Return the topic on studies; None without one."""
     if not known:
         return None
     return Topic(
@@ -66,7 +66,7 @@ def _lines(study: Study) -> Iterator[str]:
 
 
 def _separated(study: Study) -> str:
-    """Which configurations have a significantly larger error than the reference, and which not."""
+    """Name the configurations with a significantly larger error than the reference."""
     others = study.configurations[1:]
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean(c))
     said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
@@ -82,7 +82,7 @@ def _separated(study: Study) -> str:
 
 
 def _share(share: float, study: Study) -> str:
-    """A share in percent; of none or all with its 95 % bound, by the rule of three."""
+    """Format a share in percent; of none or all with its 95 % bound, by the rule of three."""
     bound = 100 * none_of(study.realisations)
     said = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
@@ -91,7 +91,7 @@ def _share(share: float, study: Study) -> str:
 
 
 def _loosest(study: Study) -> str:
-    """The loosest tolerance of each solver that costs next to nothing."""
+    """Name the loosest tolerance of each solver that costs next to nothing."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -178,7 +178,7 @@ def _interval(difference: PairedDifference, scale: float) -> str:
 
 
 def _percent(share: float) -> str:
-    """A share in percent to two digits; what is rounding alone is 0."""
+    """Format a share in percent to two digits; rounding alone is 0."""
     return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
 
 

@@ -18,7 +18,7 @@ from dpbench.report.table import Table
 
 
 def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """How the step time grows with the horizon; None where it was not varied."""
+    """Show the growth of step times with the horizon; None where it was not varied."""
     figures, tables = [], []
     all_sweeps = sweeps(records, requirements)
     for sweep in all_sweeps:
@@ -59,7 +59,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
-    """Who fits the longest horizon, a sentence for each scenario."""
+    """Name the configurations of the longest horizon, a sentence for each scenario."""
     said = []
     for sweep in all_sweeps:
         largest = {
@@ -82,19 +82,18 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
 
 
 def _some(names: list[str]) -> str:
-    """Up to three names, and how many more."""
+    """List up to three names, and how many more."""
     rest = len(names) - 3
     return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
 
 
 def _by(sweep: Sweep) -> str:
-    """The time that a horizon is judged by."""
+    """Return the statistic that a horizon is judged by."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
 def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """The longest horizons within a limit, and no more than the runs say: `≥` where no longer ones
-    have a p99, `?` where the interval of a p99 holds the limit."""
+    """Return the longest horizon within a limit: `≥` if no longer one has a p99, `?` in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
@@ -106,7 +105,7 @@ def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
 
 
 def slowdown_topic(records: Records) -> Topic | None:
-    """What a slower computer does to the ship; None where none was simulated."""
+    """Show the effect of slower computers on the ship; None where none was simulated."""
     figures, tables = [], []
     groups = delayed_groups(records)
     for group in groups:
@@ -152,7 +151,6 @@ def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
 
 
 def _survivors(group: DelayedGroup) -> str:
-    """Who survives most in a scenario."""
     survivors = [c for c in group.configurations if c.survives > 0]
     best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
     said = ", ".join(best) if best else "nobody survives a slow-down"

@@ -1,7 +1,7 @@
-"""Where thrusters are steered: what the answers of each solver cost in power and wear.
+"""Power and wear of commanded thrusters, by solver.
 
-Against the best there is in the same scenario: of the loops that are right on every step and ran as
-far, the one nearest to the exactly solved loop. What differs from it is the solver's doing.
+Against the best loop in the same scenario: of those that are right on every step and ran as far,
+the one nearest to the exactly solved loop. What differs from it is due to the solver.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LIKE = 0.01
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """The topic; None where no thruster is steered."""
+    """Return the topic on power and wear; None without commanded thrusters."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
@@ -57,7 +57,6 @@ def _lead(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
-    """How hard the thrusters work, and how many configurations keep up."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -75,7 +74,7 @@ def _lead(
 def row_of(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """The cells of a configuration by their heads."""
+    """Return the cells of a configuration by their heads."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
@@ -90,7 +89,7 @@ def row_of(
 
 
 def _ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
-    """The largest ratio of a metric to that of the best loop, over the scenarios."""
+    """Return the largest ratio of a metric to that of the best loop, over the scenarios."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
         return MISSING

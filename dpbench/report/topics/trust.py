@@ -35,7 +35,7 @@ COVERED = (
 
 
 def _spread(records: Records) -> list[str]:
-    """Which figure says whether times differ: the interval of a pair, or what rounds differ by."""
+    """State from which ratio two times differ: within a run, and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
         return []
@@ -48,7 +48,7 @@ def _spread(records: Records) -> list[str]:
 
 
 def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
-    """Whether waits of known length were measured right, and what follows where not.
+    """State how well waits of known length were measured.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
 
 
 def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """Whether the machine did other things while replays were timed."""
+    """State how quiet the machine was while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -82,14 +82,13 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
 
 
 def _unwatched(machine: Mapping[str, Any]) -> str:
-    """What nobody could see of the machine while it measured."""
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
-    """The topic; None where nothing was timed."""
+    """Return the topic on measurement quality; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
     disturbance = disturbance_of(timed)
     medians = calibration_medians(records.calibration)

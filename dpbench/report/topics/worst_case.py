@@ -15,7 +15,7 @@ from dpbench.report.verdict_text import answer_text
 
 
 def worst_case_topic(records: Records) -> Topic | None:
-    """The topic; None of records whose suite names no step to look at."""
+    """Return the topic on the step that a search found; None where the suite names none."""
     asked = records.suite.get("report", {})
     k = asked.get("step")
     if k is None:
@@ -40,7 +40,7 @@ def worst_case_topic(records: Records) -> Topic | None:
 
 
 def _row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
-    """One configuration at the step; None where it did not get there."""
+    """Return the cells of one configuration at the step; None where it did not get there."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
         return None
