@@ -25,7 +25,6 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
 
 
 def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
-    """Every column but the description of the cell, every row, to the last digit."""
     runs = pd.read_parquet(written.folder / "runs.parquet").drop(columns="cell")
     table = _table(written.folder, "runs")
     assert list(table.columns) == list(runs.columns)
@@ -41,7 +40,6 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
 
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
-    """A row a configuration, with what contradicts it."""
     verdicts = written.report.data.verdicts.all
     table = _table(written.folder, "verdicts")
     assert len(table) == len(verdicts)
@@ -60,7 +58,6 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
 
 
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
-    """The hardest by time has the largest least time of its run, and so by error."""
     hard = _table(written.folder, "hard_steps")
     steps = dict(run_steps(counting_of(written.results.steps)))
     assert set(hard["by"]) == {"time", "iterations", "error"}
@@ -75,7 +72,6 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
 
 
 def test_every_experiment_and_level_of_a_solver_has_a_row(written: Any) -> None:
-    """States are those of the facts, run or not."""
     facts = written.report.data
     table = _table(written.folder, "experiments")
     solvers, levels = len(facts.verdicts.of), len(facts.levels)
@@ -85,7 +81,6 @@ def test_every_experiment_and_level_of_a_solver_has_a_row(written: Any) -> None:
 
 
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
-    """Once, with every row; the page has the first of them."""
     rows = tuple((str(i),) for i in range(9))
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
@@ -98,7 +93,6 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
 
 @pytest.mark.slow
 def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -> None:
-    """No cell that failed is hidden, and tables of an earlier report go."""
     records.loop("daqp", steps=20)
     records.refused("ecos", "it keeps no workspace", policy="reuse")
     records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
@@ -116,7 +110,6 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
 
 @pytest.mark.parametrize("topic", ["paper"])
 def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
-    """The rows on the page are those of the file."""
     (shown,) = (one for one in written.report.topics if one.id == topic)
     table = _table(written.folder, topic)
     assert list(table.columns) == list(shown.tables[0].heads)

@@ -41,7 +41,6 @@ def compared(chromium: Any, comparison_file: Path) -> Iterator[Opener]:
 
 
 def test_it_opens_with_what_became_slower_most(compared: Opener) -> None:
-    """One sentence, one figure, the steps of the first; nothing is fetched."""
     page = compared()
     assert [u for u in compared.requests if not u.startswith("data:")] == [compared.file.as_uri()]
     assert SLOWER in page.inner_text("#answer .lead")
@@ -58,7 +57,6 @@ def comparison_is_small(file: Path) -> bool:
 
 
 def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) -> None:
-    """Heading, steps and mark follow; reload and back restore."""
     page = compared()
     page.fill("#table-filter", "osqp")
     page.locator("#times-body button").first.click()
@@ -76,7 +74,6 @@ def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) ->
 
 
 def test_a_mark_of_the_figure_is_chosen_by_a_click(compared: Opener) -> None:
-    """Anywhere in its row."""
     page = compared()
     name = page.locator("#figure-ratios text", has_text="osqp").first
     chosen = str(name.text_content()).split(" (")[0]
@@ -87,7 +84,6 @@ def test_a_mark_of_the_figure_is_chosen_by_a_click(compared: Opener) -> None:
 
 
 def test_it_answers_without_scripts(compared: Opener) -> None:
-    """Sentence, both figures and the table; no control that would do nothing."""
     page = compared(scripts=False)
     assert SLOWER in page.inner_text("#answer .lead")
     for name in ("ratios", "both"):
@@ -100,7 +96,6 @@ def test_it_answers_without_scripts(compared: Opener) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [(1400, 900), PHONE])
 def test_axe_has_nothing_to_say(compared: Opener, size: tuple[int, int], scheme: str) -> None:
-    """On the desk and the phone, by day and night; nothing scrolls sideways."""
     page = compared(size=size, scheme=scheme)
     page.add_script_tag(path=str(Path(__file__).parent / "axe" / "axe.min.js"))
     found = page.evaluate("axe.run().then((result) => result.violations.map((v) => v.id))")

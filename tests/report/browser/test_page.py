@@ -53,7 +53,6 @@ def test_it_opens_without_error_or_request(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_it_keeps_its_budget(opened: Any) -> None:
-    """Nodes before anything is opened, words that are seen, screens."""
     page = opened()
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
     assert page.evaluate("document.documentElement.scrollHeight") <= 9 * 900
@@ -69,7 +68,6 @@ def test_it_keeps_its_budget(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_it_answers_without_scripts(opened: Any) -> None:
-    """Answer, ladder, matrix, accuracy and files; no control that would do nothing."""
     page = opened(scripts=False)
     assert page.inner_text("#answer .lead").startswith("Use ")
     for name in DRAWN:
@@ -81,7 +79,6 @@ def test_it_answers_without_scripts(opened: Any) -> None:
 
 
 def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
-    """Address, heading, strips and mark follow."""
     page = opened()
     name = page.locator("#figure-ladder text", has_text="clarabel")
     box, figure = name.bounding_box(), page.locator("#figure-ladder").bounding_box()
@@ -102,7 +99,6 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_a_tile_of_the_matrix_chooses_the_experiment_too(opened: Any) -> None:
-    """Solver, settings and scenario."""
     page = opened()
     wanted = page.locator(
         "#figure-matrix path[aria-label*='solver: highs'][aria-label*='experiment: calm']"
@@ -120,7 +116,6 @@ def test_a_tile_of_the_matrix_chooses_the_experiment_too(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
-    """It is marked where it stands and named in the line that stays; its name opens it above."""
     page = opened()
     page.select_option("#table-of", "all")
     page.fill("#table-filter", "quadprog")
@@ -143,7 +138,6 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_a_hard_step_opens(opened: Any) -> None:
-    """Its numbers, the command that writes it, and the query of its row."""
     page = opened()
     page.select_option("#choose-experiment", label="paper (replay)")
     settled(page)
@@ -177,7 +171,6 @@ def test_a_hard_step_opens(opened: Any) -> None:
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.slow
 def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int, int]) -> None:
-    """The letters, not the bar alone; they say the way on a phone too."""
     page = opened(size=size)
     row = page.evaluate("rowsDrawn('ladder').values.at(-1)")
     name = page.locator("#figure-ladder text", has_text=row["solver"]).last
@@ -191,7 +184,6 @@ def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int,
 
 @pytest.mark.slow
 def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
-    """Wherever it lands."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     canvas = page.locator("#figure-strips canvas")
     canvas.scroll_into_view_if_needed()
@@ -208,8 +200,6 @@ def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> None:
-    """The slowest of all replays first; a click goes there. Single timings have a row of their own
-    behind them, called so."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     heads = page.locator("#hard span").all_inner_texts()
     assert heads[0] == "slowest steps, fastest round of replays and windows"
@@ -233,7 +223,6 @@ def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> N
 
 @pytest.mark.slow
 def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
-    """With its settings in numbers, and a button to copy it; the answer keeps its own."""
     assert not opened().locator("#one-call").is_visible(), "it would stand there twice"
     page = opened("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
     first = page.text_content("#paste-1")
@@ -249,7 +238,6 @@ def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> None:
-    """Both modes of sorting; the next page goes on where one ends."""
     page = opened()
     page.select_option("#table-of", "all")
     first = page.locator("#table-body tr").all_inner_texts()
@@ -274,7 +262,6 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
 
 @pytest.mark.slow
 def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) -> None:
-    """Position and forces of the row of the run; of the nearest that a thinned track has kept."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
     said = page.inner_text("#step-said")
     number = r"([\d.e-]+)"
@@ -311,7 +298,6 @@ def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: P
 
 @pytest.mark.slow
 def test_the_slider_moves_the_ladder(opened: Any) -> None:
-    """Every bar moves to the right; the largest timing of this machine stays."""
     page = opened()
     first = page.locator("#figure-ladder .mark-symbol path").first
     before = first.bounding_box()["x"]
@@ -367,7 +353,6 @@ def test_the_verdict_is_that_of_the_slower_computer(opened: Any) -> None:
 
 
 def test_a_bound_is_never_rounded_up(opened: Any) -> None:
-    """On the slider as in the answer."""
     page = opened()
     for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
         assert page.evaluate(f"Number(roundedDown({value}))") == float(rounded_down(value))
@@ -413,7 +398,6 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
 
 @pytest.mark.slow
 def test_reload_and_back_restore(opened: Any) -> None:
-    """The address is the whole state."""
     page = opened(CHOSEN + "&slow=50")
     assert page.input_value("#choose-solver") == "piqp"
     assert page.input_value("#slow-said") == "50"
@@ -433,7 +417,6 @@ def test_reload_and_back_restore(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_another_solver_shows_the_same_step(opened: Any) -> None:
-    """Of the same experiment; the sentence tells what was said from what is so."""
     page = opened(CHOSEN)
     page.select_option("#choose-solver", "daqp")
     page.wait_for_function("location.hash.includes('s=daqp')")
@@ -445,7 +428,6 @@ def test_another_solver_shows_the_same_step(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
-    """A click on a word goes to what it means; the browser's way back returns to the place."""
     page = opened(CHOSEN)
     page.locator("#answer .term").first.scroll_into_view_if_needed()
     page.locator("#answer .term").first.click()
@@ -457,7 +439,6 @@ def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_words_are_a_click_away(opened: Any) -> None:
-    """From the answer to the list of terms, which opens."""
     page = opened()
     page.click("#answer a[href='#words']")
     assert page.locator("#words dt").first.is_visible()
@@ -477,8 +458,6 @@ def test_words_are_a_click_away(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_every_scenario_is_explained(opened: Any) -> None:
-    """In the list of words, to which its name in the answer leads, and to who points at its name
-    above the tiles."""
     page = opened()
     title = load_scenario("paper_tight").title
     chip = page.locator(".chips a", has_text="paper_tight").first
@@ -499,8 +478,6 @@ def test_every_scenario_is_explained(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_a_term_says_what_it_means(opened: Any) -> None:
-    """To who comes by the keyboard in a box, gone with Escape; its link leads to the list, which
-    opens, and the selection stays."""
     page = opened(CHOSEN)
     before = selection(page)
     term = page.locator("#answer .term").first
@@ -521,7 +498,6 @@ def test_a_term_says_what_it_means(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_keys_stay_in_the_table_at_its_end(opened: Any) -> None:
-    """At the last page the other button has them, and at the first again."""
     page = opened()
     page.select_option("#table-of", "all")
     page.focus("#table-next")
@@ -538,7 +514,6 @@ def test_the_keys_stay_in_the_table_at_its_end(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
-    """A link to a section scrolls; a change to the dark draws anew."""
     page = opened(CHOSEN + "&slow=50")
     before = selection(page)
     page.click("nav a[href='#data']")
@@ -553,7 +528,6 @@ def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -> None:
-    """All rows and every group of columns, to the last digit."""
     page = opened()
     page.select_option("#table-of", "all")
     runs = pd.read_parquet(campaign / "runs.parquet")
@@ -578,7 +552,6 @@ def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -
 
 @pytest.mark.slow
 def test_two_solvers_are_compared(opened: Any) -> None:
-    """A dot a step, the ratio in words, and Markdown for a pull request."""
     page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
     assert rows_in(page, "pairs", "pairs") > 100
     said = page.inner_text("#two-said")
@@ -597,7 +570,6 @@ def test_two_solvers_are_compared(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
-    """That of the paired comparison, in whichever order they stand."""
     facts = written.report.data
     timed = [v for v in facts.verdicts.all if v.timed_on]
     page = opened()
@@ -611,7 +583,6 @@ def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> 
 
 @pytest.mark.slow
 def test_the_keyboard_reaches_everything(opened: Any) -> None:
-    """Every control and link is met by the tabulator, and shows that it is."""
     page = opened(CHOSEN)
     wanted = page.evaluate(
         """() => {
@@ -637,7 +608,6 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
-    """A row down and up again; what has the keys is seen to have them; Enter opens the choice."""
     page = opened()
     rows = page.evaluate("rowsDrawn('ladder').values.map((row) => Number(row.id))")
     page.focus("#figure-ladder")
@@ -659,8 +629,6 @@ def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.slow
 def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> None:
-    """To the next experiment, the next solver, and past the last experiment or solver to the next
-    settings, beside it or below."""
     page = opened("#s=clarabel&w=qpsolvers-fresh&set=default&sc=paper", size=size)
     page.focus("#figure-matrix")
     page.keyboard.press("ArrowRight")
@@ -703,7 +671,6 @@ def test_late_is_not_wrong(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_matrix_shows_another_way(opened: Any) -> None:
-    """The tiles are the runs of that way alone; what was not run so is said to be not run."""
     page = opened()
     modes = page.locator("#matrix-mode option").evaluate_all("(all) => all.map((one) => one.value)")
     before = page.locator("#figure-matrix path[aria-label*='verdict: pass']").count()
@@ -726,8 +693,6 @@ def test_the_matrix_shows_another_way(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_it_copies(opened: Any) -> None:
-    """What is to be pasted is in the clipboard, commands and lines of pandas too; where there is
-    none it is marked."""
     page = opened(CHOSEN)
     for name in ("step-export", "step-query", "data-query"):
         assert page.locator(f"[data-copy={name}]").is_visible()
@@ -749,15 +714,12 @@ def test_it_copies(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_it_prints(opened: Any) -> None:
-    """Twelve sheets at most."""
     sheets = re.findall(rb"/Type\s*/Page\b", opened().pdf(format="A4"))
     assert 1 <= len(sheets) <= 12
 
 
 @pytest.mark.slow
 def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
-    """Answer, ladder and matrix on the first sheet, then the chosen solver with its step and its
-    figures; no control; dark letters whatever the screen has."""
     page = opened(CHOSEN, scheme="dark")
     page.emulate_media(media="print")
     page.set_viewport_size({"width": 710, "height": 1039})  # A4 less its margins, at 96 dpi
@@ -782,7 +744,6 @@ def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
 
 @pytest.mark.slow
 def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
-    """On a slower computer a whisker is left out where a step has overtaken it."""
     whiskers = "#figure-ladder path[stroke-dasharray], #figure-ladder line[stroke-dasharray]"
     page = opened()
     before = page.locator(whiskers).count()

@@ -69,7 +69,6 @@ def _click_on(page: Any, view: str, wanted: str) -> None:
 
 
 def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
-    """Configuration, point and sea in words and figures, and the loop of that sea below."""
     page = study_page()
     assert page.inner_text("#one-title").startswith("osqp (")
     assert "not held, at most 1.5 m off" in page.inner_text("#study-said")
@@ -86,7 +85,6 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
 
 @pytest.mark.slow
 def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
-    """By a click each; all figures, the loop and the address follow, reload and back restore."""
     page = study_page()
     _click_on(page, "design", "row.point === 0")
     assert _selection(page)["sc"] == "seas: point 0, sea 2"
@@ -113,7 +111,6 @@ def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
 
 @pytest.mark.slow
 def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
-    """By the keyboard alone; a number that no point has is put back."""
     page = study_page()
     for control, value in (("point", "1"), ("sea", "3")):
         page.fill(f"#study-{control}", value)
@@ -142,7 +139,6 @@ def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
 def test_a_design_is_drawn_over_what_tells_points_apart(
     chromium: Any, tmp_path: Path, keys: Any, values: Any, form: str, heights: Any
 ) -> None:
-    """A key that changes with the first is not set beside it; over one key the share is drawn."""
     records = MadeRecords()
     for point in range(20):
         x = dict(zip(keys, values(point), strict=True))
@@ -163,7 +159,6 @@ def test_a_design_is_drawn_over_what_tells_points_apart(
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.slow
 def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int], scheme: str) -> None:
-    """No complaint of axe, nothing sideways, the budget."""
     page = study_page(size=size, scheme=scheme)
     page.evaluate(AXE.read_text())
     violations = page.evaluate("axe.run(document).then((result) => result.violations)")
@@ -173,7 +168,6 @@ def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int], scheme: 
 
 
 def test_without_scripts_maps_and_seas_are_pictures(study_page: Opener) -> None:
-    """As they are in the files."""
     page = study_page(scripts=False)
     assert page.locator(".paper img").count() == 2
     assert page.locator(".paper img").first.is_visible()

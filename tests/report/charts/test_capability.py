@@ -40,7 +40,6 @@ def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
 
 
 def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
-    """A line through one of the rings at each direction but one."""
     clear, rows = 135.0, []
     for from_deg in range(0, 360, 15):
         wind = 32.6 if from_deg != clear else 30.5
@@ -54,7 +53,6 @@ def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
 
 
 def test_points_with_untrue_claims_are_hollow() -> None:
-    """One direction of two; without any all points are filled alike."""
     rows = [("intact", 0.0, 20.0, 7, 0), ("intact", 90.0, 15.0, 6, 2)]
     table = pd.DataFrame(rows, columns=[*COLUMNS, "untrue"])
     marks = [layer["mark"] for layer in rose(table, "Some ship").to_dict()["layer"]]
@@ -77,7 +75,6 @@ def test_it_is_written_in_four_formats(
 
 
 def test_names_that_xml_cannot_hold_are_drawn() -> None:
-    """The renderer would end the process; a backslash in a name is none of an escape."""
     rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
     drawn = encoded(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
     assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)

@@ -22,7 +22,6 @@ def _limited() -> None:
 
 
 def test_a_report_is_written_without_its_figures(records: MadeRecords, tmp_path: Path) -> None:
-    """The page then runs no script, what the report ends with says why, and nothing traps."""
     for solver in ("daqp", "quadprog"):
         records.loop(solver, steps=30)
         records.replay(solver, steps=30)

@@ -10,7 +10,6 @@ from dpbench.solvers.table import TABLE
 
 
 def test_every_family_of_a_record_has_a_colour_of_its_own() -> None:
-    """None is forgotten, no two share one, and no solver of the table is without a family."""
     assert set(get_args(Family)) <= set(FAMILY_COLOURS)
     assert len(set(FAMILY_COLOURS.values())) == len(FAMILY_COLOURS)
     assert "not stated" not in {row.family for row in TABLE.values()}

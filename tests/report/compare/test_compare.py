@@ -163,7 +163,6 @@ def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> No
 
 
 def test_one_configuration_slower_and_one_faster_are_both_said() -> None:
-    """A solver that gains in one way and loses in another is called neither."""
     order = ("slower", "faster", "no difference shown", "equivalent")
     assert _together(Counter(slower=1, faster=2, equivalent=3), order) == "slower and faster"
     assert _together(Counter({"no difference shown": 1, "equivalent": 9}), order) == order[2]
@@ -172,8 +171,6 @@ def test_one_configuration_slower_and_one_faster_are_both_said() -> None:
 
 @pytest.mark.slow
 def test_what_all_configurations_share_is_a_regression_only_beyond_the_kernel(make: Make) -> None:
-    """Twice the time in every configuration is the machine where the kernel doubles too, else
-    shared code."""
     a = make("a", seed=1)
     machine = compare(a, make("slow", seed=2, machine=2.0, reference_kernel_ns=1e5))
     assert not machine.worse
@@ -185,7 +182,6 @@ def test_what_all_configurations_share_is_a_regression_only_beyond_the_kernel(ma
 
 
 def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
-    """A cell that was lost in either run is named, and compared with nothing."""
     a = make("a", seed=1)
     for folders in ((a, make("b", seed=2, outcome="lost")), (make("c", seed=2, outcome="lost"), a)):
         found = compare(*folders)
@@ -316,8 +312,6 @@ def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[s
     ],
 )
 def test_what_a_time_limit_stopped_is_not_comparable(make: Make, before: Any, after: Any) -> None:
-    """Control figures of other steps are neither worse nor better, nor is how far a run came; that
-    a loop crashes is worse as ever."""
     figures = {"r_rms_m": 0.3, "closed_loop_cost": 1.0, "total_variation": 2.0}
     other = {"r_rms_m": 0.6, "closed_loop_cost": 0.1, "total_variation": 9.0}
 
@@ -360,7 +354,6 @@ def test_an_error_that_is_rounding_in_both_is_no_change(make: Make) -> None:
 
 
 def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
-    """A run of fewer rounds has larger minima; that is no slow-down."""
     a = make("a", seed=1)
     b = make("b", seed=1)
     steps = pd.read_parquet(b / "steps.parquet")
@@ -433,7 +426,6 @@ def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> N
 
 @pytest.mark.slow
 def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path: Path) -> None:
-    """What others send has no steps; the page has none to show either."""
     a = make("a", seed=1, algo_p50_ns=2e4)
     b = make("b", seed=2, algo_p50_ns=3e4)
     (b / "steps.parquet").unlink()
@@ -468,7 +460,6 @@ def test_bad_options(
 
 
 def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
-    """Nothing to compare is bad input, as is a folder that is not there."""
     a, b = make("a", seed=1, configurations=("daqp",)), make("b", seed=1, configurations=("piqp",))
     with pytest.raises(InputError, match="no cell that the first folder has too"):
         compare(a, b)
@@ -477,7 +468,6 @@ def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
 
 
 def test_cells_without_a_partner_are_named(make: Make) -> None:
-    """One solver only in A, one only in B, and one whose problem changed under its name."""
     a = make("a", seed=1, configurations=("daqp", "osqp"))
     b = make("b", seed=1, configurations=("daqp", "scs"))
     found = compare(a, b)
@@ -509,7 +499,6 @@ def test_exit_codes_and_markdown(
 
 @pytest.mark.slow
 def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
-    """A run shown under two names of its settings is one row of the table."""
     folders = []
     for name, seed in (("a", 1), ("b", 2)):
         folder = make(name, seed=seed)
@@ -554,7 +543,6 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 
 
 def test_another_build_of_the_same_version_is_said() -> None:
-    """Times of two builds of one version are not those of one library."""
     builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
     runs = as_runs(
         pd.DataFrame([identity("replay", "hpipm", {"build": build}) for build in builds])

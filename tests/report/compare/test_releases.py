@@ -113,7 +113,6 @@ def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None
 
 
 def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
-    """Twice the time while the load kernel took twice as long is no change to speak of."""
     old = make("old", OLD, {"piqp": 10.0}, load_kernel_ns=1e5, rounds=2, claimed_not_true=6)
     new = make("new", NEW, {"piqp": 20.0}, load_kernel_ns=2e5, rounds=4, claimed_not_true=12)
     found = releases([old, new])
@@ -126,7 +125,6 @@ def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
 def test_one_folder_is_none_to_compare(
     make: Make, capsys: pytest.CaptureFixture[str], count: int
 ) -> None:
-    """Nor is the same one twice; three without --releases are asked which view is meant."""
     folder = str(make("a", OLD, {"daqp": 10.0}))
     assert main(["compare", *[folder] * count, "--releases"]) == 2
     assert "two or more result folders, each once" in capsys.readouterr().err
@@ -135,7 +133,6 @@ def test_one_folder_is_none_to_compare(
 
 
 def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
-    """Nothing in common is bad input, not an empty page."""
     folders = [make("a", OLD, {"piqp": 1.0}), make("b", NEW, {"piqp": 1.0}, scenario="rough")]
     with pytest.raises(InputError, match="no cell that two of the folders have"):
         releases(folders)

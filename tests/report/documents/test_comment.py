@@ -27,7 +27,6 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
 
 
 def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
-    """By error, time and iterations, found in the table of steps without the report's help."""
     facts, results = written.report.data, written.results
     runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
     known = {run.run_id for run in facts.records.runs}
@@ -42,7 +41,6 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:
-    """Whoever ran can be set beside it; a name that did not is an error with the nearest."""
     text, _ = beside(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp beside clarabel\n")
     with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: e\.g\. piqp"):

@@ -50,7 +50,6 @@ def copy(sent: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
-    """Five files, no script, far below the limit; the check says what it is."""
     assert sorted(path.name for path in sent.iterdir()) == sorted(SENT)
     page = (sent / "report.html").read_text("utf-8")
     assert "<script" not in page and "steps.parquet" not in page and "<svg" in page
@@ -62,8 +61,6 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
 
 @pytest.mark.slow
 def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
-    """The page names the file by its hash, and is written again from what was sent; another file in
-    its place, or none, is found out."""
     records.loop("daqp", steps=20)
     out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
     row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
@@ -82,7 +79,6 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
 
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
-    """And a folder with other things in it, or the results themselves, are no place to send."""
     from dpbench.report.documents.sent import prepare
 
     prepare(written.folder, copy)
@@ -170,7 +166,6 @@ def test_a_fault_is_one_line(
 def test_a_page_that_runs_or_loads_something_is_refused(
     copy: Path, old: str, new: str, found: str, capsys: Any
 ) -> None:
-    """The line of the page and the tag or attribute are named."""
     page = (copy / "report.html").read_text("utf-8")
     assert old in page
     line = page[: page.index(old)].count("\n") + 1
@@ -181,7 +176,6 @@ def test_a_page_that_runs_or_loads_something_is_refused(
 
 
 def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
-    """A page with scripts and steps is for the sender's own disk."""
     with (copy / "report.html").open("a", encoding="utf-8") as page:
         page.write(" " * MOST_BYTES)
     assert main(["check", str(copy)]) == 2
@@ -190,12 +184,10 @@ def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
 
 @pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)
 def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
-    """What lies in results/community can be read by the dpbench of today."""
     assert check_sent(folder).startswith(str(folder))
 
 
 def test_the_page_that_is_sent_has_no_dead_link(sent: Path) -> None:
-    """Sections that scripts alone fill are neither there nor named in its contents."""
     page = (sent / "report.html").read_text("utf-8")
     for name in ("one", "two"):
         assert f'id="{name}"' not in page and f'href="#{name}"' not in page

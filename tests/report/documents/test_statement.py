@@ -39,7 +39,6 @@ def _texts(svg: str) -> list[ElementTree.Element]:
 def test_pdf_and_svg_are_written(
     records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the end of the file's name."""
     out = _good(records, tmp_path)
     for kind in ("pdf", "svg"):
         assert main(["report", str(out), "--statement", str(tmp_path / f"a.{kind}")]) == 0
@@ -71,14 +70,12 @@ def test_nothing_to_recommend_is_nothing_to_state(
 
 
 def test_it_holds_the_hashes_of_the_files(drawn: str, written: Any) -> None:
-    """Whoever has the files can prove that they are those."""
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
         digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
         assert f"{name}  SHA-256 {digest}" in drawn
 
 
 def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
-    """Solver, way, version, error, times and slow-downs of what is recommended."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts = written.report.data
     (verdict,) = (
@@ -97,7 +94,6 @@ def test_its_numbers_are_those_of_the_verdict(drawn: str, written: Any) -> None:
 
 
 def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: Any) -> None:
-    """Every experiment that was held is named, and the limits of the claim stand on the page."""
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.data, written.report.recommendation.first
     for p, experiment in enumerate(facts.experiments):
@@ -107,7 +103,6 @@ def test_it_names_where_it_holds_and_what_is_not_covered(drawn: str, written: An
 
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
-    """An older folder says its version alone."""
     results, facts = written.results, written.report.data
     old = statement_svg(written.folder, results, facts)
     suite = results.suite | {"revisions": [{"commit": "c0ffee" * 6, "clean": False}]}

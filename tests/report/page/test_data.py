@@ -31,7 +31,6 @@ def _state(facts: PageData, solver: str, experiment: str) -> str:
 
 
 def test_experiments_come_scenarios_first_and_si_last(records: Any) -> None:
-    """In the order of the suite within each kind; a sequence and its scenario are two."""
     records.replay("daqp", "calm", steps=20)
     records.loop("daqp", "rough", units="si")
     records.loop("daqp", "calm")
@@ -47,7 +46,6 @@ def test_experiments_come_scenarios_first_and_si_last(records: Any) -> None:
 
 
 def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None:
-    """What contradicts is a miss, what could not be judged is open, and the rest holds."""
     records.loop("daqp")
     records.loop("osqp", error=0.4)
     records.loop("scs", outcome="timed_out", done=20)
@@ -65,7 +63,6 @@ def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None
 
 
 def test_si_units_are_a_experiment_and_no_configuration(records: Any) -> None:
-    """The same solver in other units is the same solver in another experiment."""
     records.loop("daqp")
     records.loop("daqp", units="si", error=0.3)
     facts = _facts(records)
@@ -75,7 +72,6 @@ def test_si_units_are_a_experiment_and_no_configuration(records: Any) -> None:
 
 
 def test_of_two_runs_in_one_experiment_the_longer_counts(records: Any) -> None:
-    """A short loop beside a whole one does not replace it, whichever comes first."""
     for lengths in ((40, 120), (120, 40)):
         for steps in lengths:
             records.loop("daqp", "paper" if lengths[0] == 40 else "calm", steps=steps)
@@ -83,7 +79,6 @@ def test_of_two_runs_in_one_experiment_the_longer_counts(records: Any) -> None:
 
 
 def test_the_baseline_law_is_no_configuration(records: Any) -> None:
-    """It solves no QP."""
     records.loop("daqp")
     records.loop("unconstrained_clipped", formulation="none", error=1.0)
     assert [c.solver for c in _facts(records).configurations] == ["daqp"]
@@ -100,8 +95,6 @@ def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
 
 
 def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
-    """Steps done and planned, the largest error, the failed steps, and five hardest by each
-    measure; a run that left no step has no arrays."""
     records.loop("daqp", steps=50, error=1e-6, failed=2)
     records.loop("scs", outcome="crashed", outcome_detail="signal 11", done=0)
     facts = _facts(records)
@@ -128,18 +121,14 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
     ("value", "said"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
 def test_numbers_are_such_as_json_has(value: Any, said: Any) -> None:
-    """Missing is null, and infinite a word."""
     assert number(value) == said
 
 
 def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
-    """A row without a value has a hole."""
     assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
 def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
-    """Title and first sentence; of a replay its window and how many of the steps have active
-    limits, of an extra that it counts in no verdict; without a scenario nothing."""
     records.loop("daqp", "rough")
     records.loop("daqp", "rough", units="si")
     records.replay("daqp", "rough[900:1400]", steps=500, cell=_of_window(records))
@@ -163,7 +152,6 @@ def _of_window(records: Any) -> str:
 def test_of_many_experiments_those_that_miss_most_are_drawn(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As many as there is room for, in the order they had; the page says how many of how many."""
     for i, scenario in enumerate(("calm", "rough", "paper", "turn")):
         for solver in ("daqp", "osqp"):
             wrong = solver == "osqp" and i in (1, 3)

@@ -68,7 +68,6 @@ def checked(html: str) -> Checker:
 
 
 def test_every_tag_is_closed_and_every_id_stands_once(written: Any) -> None:
-    """What a browser would mend in silence. Ids of a picture's own gradients and clips aside."""
     ids = [name for name in checked(written.html).ids if not re.match(r"(clip|gradient)\d", name)]
     assert len(ids) == len(set(ids)) > 20
 
@@ -87,7 +86,6 @@ def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
 
 @pytest.mark.slow
 def test_the_script_asks_only_for_what_is_there(written: Any, records: Any, tmp_path: Any) -> None:
-    """Every `$("…")` of the script is an id of a page with all its parts, or of a study's."""
     asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
     assert len(asked) > 20
     studied = write_report(of_seas(records).write(tmp_path)).read_text("utf-8")
@@ -121,8 +119,6 @@ def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp
 
 
 def test_the_block_unpacks_to_the_facts(written: Any) -> None:
-    """Configurations, experiments and cells are those of the facts, and the steps of a cell are
-    within a code of those of its run."""
     (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
     document, arrays = unpacked(text.strip())
     facts = written.report.data
@@ -157,7 +153,6 @@ def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
 
 
 def test_files_are_named_with_their_hashes(written: Any) -> None:
-    """What the page was made from can be checked."""
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json", "tables/runs.csv"):
         digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
         assert digest in written.html
@@ -173,7 +168,6 @@ def test_the_page_is_within_its_budget(written: Any) -> None:
 
 
 def test_without_a_script_the_answer_and_the_figures_stand(written: Any) -> None:
-    """The pictures are drawn, not only their places."""
     for name in ("ladder", "matrix", "accuracy"):
         assert re.search(rf'<div id="figure-{name}"[^>]*>\s*<svg', written.html), name
     assert "<noscript>" in written.html
@@ -181,7 +175,6 @@ def test_without_a_script_the_answer_and_the_figures_stand(written: Any) -> None
 
 @pytest.mark.slow
 def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any) -> None:
-    """PDF beside SVG where it was asked for; else the command that makes it."""
     for name in written.report.figures:
         for kind in ("svg", "pdf"):
             assert f'href="figures/{name}.{kind}"' in written.html
@@ -192,7 +185,6 @@ def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any)
 
 
 def test_citations_are_those_of_the_citation_file(written: Any) -> None:
-    """Titles and authors; the year and version are those of the run."""
     said = [
         line.strip().removeprefix("- ").split(": ", 1)
         for line in CITATION.read_text(encoding="utf-8").splitlines()

@@ -111,7 +111,6 @@ def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale:
     )
 )
 def test_counts_are_exact(values: list[float]) -> None:
-    """Whole numbers come back as they were; NaN and negative ones are missing."""
     block = Block()
     block.count(values)
     expected = [math.nan if math.isnan(v) or v < 0 else float(v) for v in values]
@@ -127,7 +126,6 @@ def test_a_count_beyond_the_largest_is_the_largest() -> None:
 
 @given(st.sets(st.integers(0, 300_000), min_size=1, max_size=20))
 def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -> None:
-    """All others are missing, whatever the length; places further apart than a code are refused."""
     block, rising = Block(), sorted(places)
     length = rising[-1] + 3
     if max(np.diff(rising, prepend=0)) > 65535:
@@ -147,8 +145,6 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
 def test_arrays_of_one_block_do_not_touch_each_other(
     arrays: list[list[float]], flags: list[int]
 ) -> None:
-    """Each array has its number, its length and its values whatever stands beside it, and the
-    document comes back with text of any alphabet."""
     block = Block()
     numbers = [block.flag(flags), *(block.log(array) for array in arrays), block.count([3, 1])]
     document, found = unpacked(block.text({"said": "µs ≥ 1"}))
@@ -160,6 +156,5 @@ def test_arrays_of_one_block_do_not_touch_each_other(
 
 
 def test_a_document_with_a_number_that_json_has_not_is_refused() -> None:
-    """A page that holds NaN would not parse in a browser."""
     with pytest.raises(ValueError, match="JSON"):
         Block().text({"x": math.nan})

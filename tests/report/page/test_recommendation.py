@@ -87,7 +87,6 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
 
 @pytest.mark.slow
 def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
-    """Hundreds of rows still fit a comment, and where the others are is said."""
     for i in range(150):
         records.loop(f"somebody_elses_solver_{i:03d}")
     facts = _facts(records)
@@ -98,7 +97,6 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
-    """Held, missed, open and not run are four words and four marks."""
     records.loop("daqp", "paper")
     records.replay("daqp", "paper")
     records.loop("osqp", "rough")
@@ -112,7 +110,6 @@ def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> 
 
 
 def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any) -> None:
-    """By name, with what became of each; of other settings and solvers nothing."""
     for way in ({"route": "native", "policy": "warm", "median_us": 5.0}, {}):
         records.loop("daqp", "paper", **{k: v for k, v in way.items() if k != "median_us"})
         records.replay("daqp", "paper", **way)
@@ -129,7 +126,6 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
 
 
 def test_open_is_not_recommended(records: Any) -> None:
-    """Where no solver steered a ship, nothing contradicts the fastest, and what is open is said."""
     records.replay("daqp")
     sentence = _answer(records).sentence
     assert sentence.startswith("Nothing contradicts daqp (qpsolvers, fresh, default): right on")
@@ -147,7 +143,6 @@ NOBODY = [
 def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
     records: Any, loop: dict[str, Any], says: str
 ) -> None:
-    """Missed by all is no more than that, and open is not missed; nothing is there to paste."""
     records.loop("osqp", **loop)
     records.replay("osqp")
     answer = _answer(records)
@@ -156,7 +151,6 @@ def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
 
 
 def test_own_code_alone_is_no_recommendation(records: Any) -> None:
-    """It is named with why, once."""
     records.loop("hildreth", route="native")
     records.replay("hildreth", route="native")
     answer = _answer(records)
@@ -176,8 +170,6 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
 
 
 def test_what_is_faster_and_open_is_named(records: Any) -> None:
-    """Of each solver the fastest, with what it lacks; what is slower, wrong or no answer anyway is
-    not."""
     for solver, route in (("daqp", "native"), ("paper_active_set", "native"), ("osqp", "native")):
         fast = {"paper_active_set": 3.0, "daqp": 9.0}.get(solver, 50.0)
         records.loop(solver, route=route, policy="warm")
@@ -197,14 +189,12 @@ def test_what_is_faster_and_open_is_named(records: Any) -> None:
 
 
 def test_where_all_is_open_nobody_is_called_so(records: Any) -> None:
-    """The answer has said it."""
     records.replay("daqp")
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
     assert "inconclusive" not in dict(_answer(records).notes)
 
 
 def test_steps_without_a_solution_are_said(records: Any) -> None:
-    """Right on every step is, there, to have said so; a replay counts each of them once a round."""
     records.loop("daqp")
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
@@ -221,7 +211,6 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
 def test_a_p50_below_the_shortest_checked_wait_is_said(
     records: Any, shortest_us: int | None, said: bool
 ) -> None:
-    """By the waits that the runs hold, not by those of this version."""
     records.loop("daqp")
     records.replay("daqp", median_us=9.0)
     for wait_us in (shortest_us, 1000) if shortest_us else ():
@@ -232,7 +221,6 @@ def test_a_p50_below_the_shortest_checked_wait_is_said(
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
-    """The settings are those of the level, and the call is one that this version has."""
     records.loop("daqp", route="native", policy="warm")
     records.replay("daqp", route="native", policy="warm")
     names: dict[str, Any] = {}
@@ -257,7 +245,6 @@ def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
 def test_a_snippet_in_c_has_the_numbers_of_the_record(
     records: Any, solver: str, settings: str, text: str | None
 ) -> None:
-    """In the structure that the record names; without one there is none."""
     for settings_run in dict.fromkeys(("default", settings)):
         error = 0.4 if settings_run != settings else 1e-9
         records.loop(solver, settings=settings_run, error=error)
@@ -266,7 +253,6 @@ def test_a_snippet_in_c_has_the_numbers_of_the_record(
 
 
 def test_why_is_the_verdicts_cause(records: Any) -> None:
-    """What contradicts a configuration, else what is missing, else its refusal; no markup."""
     records.loop("osqp", error=0.4)
     records.replay("daqp")
     records.refused("qpax", "not installed")
@@ -278,7 +264,6 @@ def test_why_is_the_verdicts_cause(records: Any) -> None:
 
 
 def test_the_baseline_is_beside_the_answer(records: Any) -> None:
-    """Its fastest configuration that nothing contradicts; one that was not run is refused."""
     for solver, us in (("daqp", 10.0), ("osqp", 50.0), ("piqp", 30.0)):
         records.replay(solver, median_us=us, steps=60)
     assert [c and c.solver for c in (_answer(records).first, _answer(records).second)] == [
@@ -306,7 +291,6 @@ def test_an_unknown_baseline_writes_nothing(
 @pytest.mark.parametrize(("named", "second"), [("piqp", "piqp"), ("scs", "osqp"), (None, "osqp")])
 @pytest.mark.slow
 def test_the_suite_names_the_baseline(records: Any, named: str | None, second: str) -> None:
-    """It holds where it was run; a part of the suite may be run without it."""
     for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):
         records.replay(solver, median_us=us, steps=60)
     records.suite["report"] = {"baseline": named}

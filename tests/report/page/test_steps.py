@@ -46,7 +46,6 @@ def _long(count: int, seed: int = 1) -> RunSteps:
 
 
 def test_what_fits_stays_whole() -> None:
-    """Nothing is thinned while all runs together have room."""
     lengths = [667] * 500
     assert sum(lengths) <= packing.MOST_STEPS and Room.of(lengths).steps >= 667
     chosen, extra = thinned_indices(_long(667), Room.of(lengths).steps)
@@ -57,7 +56,6 @@ def test_what_fits_stays_whole() -> None:
     "lengths", [[100_000] * 10, [1000] * 1000, [500] * 800 + [100_000] * 6, [1] * 3 + [10**6]]
 )
 def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
-    """The short ones whole, the long ones as much as is left and hardly less."""
     share = Room.of(lengths).steps
     taken = sum(min(length, share) for length in lengths)
     assert packing.MOST_STEPS - len(lengths) <= taken <= packing.MOST_STEPS
@@ -66,7 +64,6 @@ def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
 
 @pytest.mark.parametrize("most", [90, 600, 5000])
 def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
-    """Hard ones are marked, so that means can leave them out; the others are equally far apart."""
     run = _long(20_000)
     chosen, extra = thinned_indices(run, most)
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
@@ -76,7 +73,6 @@ def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
 
 
 def test_left_out_steps_are_missing_in_the_block() -> None:
-    """Element j is step first + j still, and its size is that of what is kept."""
     run, whole, thin = _long(20_000), Block(), Block()
     of_whole = pack_steps(whole, KeptRun.of(run, 20_000))
     of_thin = pack_steps(thin, KeptRun.of(run, 600))
@@ -92,7 +88,6 @@ def test_left_out_steps_are_missing_in_the_block() -> None:
 
 
 def test_a_track_has_no_more_points_than_it_may() -> None:
-    """Every so manieth, the first one always."""
     names = [*TRACK, *FORCES]
     table = pd.DataFrame({name: np.arange(1001.0) for name in names})
     track = track_of(table, np.ones(3), 100)
@@ -101,7 +96,6 @@ def test_a_track_has_no_more_points_than_it_may() -> None:
 
 
 def test_extremes_of_a_line_are_drawn() -> None:
-    """However long it is; a short one is drawn whole."""
     values = np.sin(np.arange(100_000) / 50.0)
     values[[3, 70_001]] = 5.0, -5.0
     places = extremes(values, 1000)
@@ -132,7 +126,6 @@ def test_the_block_of_many_long_runs_stays_within_its_room(
 def test_of_many_runs_fewer_hard_steps_are_listed(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Five of each run by each measure while there is room, one at least; the tables have all."""
     for solver in ("daqp", "osqp", "quadprog"):
         records.replay(solver, steps=30, rounds=1, spread=0.3)
 

@@ -34,7 +34,6 @@ def test_every_sea_has_its_errors(records: Any) -> None:
 
 
 def test_it_opens_where_least_is_held(records: Any) -> None:
-    """The configuration, a point and a sea in which the ship is lost."""
     facts = Report.of(of_seas(records).results()).data
     assert facts.opening is not None
     c, p = facts.opening
@@ -46,7 +45,6 @@ def test_it_opens_where_least_is_held(records: Any) -> None:
 
 
 def test_seas_enter_no_verdict(records: Any) -> None:
-    """Beside other runs they are experiments, but none of the answer or of the tiles."""
     made = of_seas(records)
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
@@ -64,7 +62,6 @@ def test_seas_enter_no_verdict(records: Any) -> None:
 def test_a_page_keeps_the_first_seas_of_all_points(
     records: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of more loops than it has room for; the others stand with their errors alone."""
     room = 3 * len(HEIGHTS) * len(OFFSETS)
     monkeypatch.setattr(page_data, "MOST_LOOPS", room)
     facts = Report.of(of_seas(records).results()).data

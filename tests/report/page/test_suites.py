@@ -161,8 +161,6 @@ def _words(html: str) -> str:
 def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     records: Any, tmp_path: Path, kind: str
 ) -> None:
-    """Its topics and no other stand on page and in Markdown; each has its files; nothing is called
-    missing that nobody asked for."""
     fill, lead, topics = KINDS[kind]
     fill(records)
     out = records.write(tmp_path / "out")
@@ -193,7 +191,6 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
 
 @pytest.mark.parametrize("kind", ["random", "consequence", "slow computers", "calibration"])
 def test_without_a_solver_on_a_ship_no_requirements_are_named(records: Any, kind: str) -> None:
-    """Its answer is that of its own question, and has no chip and nothing to paste."""
     KINDS[kind][0](records)
     report = Report.of(records.results())
     answer, lead = report.recommendation, report.topics[0]
@@ -260,7 +257,6 @@ PARTIAL = [
 def test_partial_results_still_make_a_report(
     records: Any, tmp_path: Path, fill: Callable[[Any], None], says: str
 ) -> None:
-    """Whatever is not there, the report is written and valid, and its answer says how it is."""
     fill(records)
     out = records.write(tmp_path / "out")
     html = write_report(out).read_text(encoding="utf-8")
@@ -271,7 +267,6 @@ def test_partial_results_still_make_a_report(
 
 @pytest.mark.slow
 def test_words_of_a_library_never_become_tags(records: Any, tmp_path: Path) -> None:
-    """A name and a reason with markup and pipes are shown as they are, or the table would break."""
     _odd_names(records)
     out = records.write(tmp_path / "out")
     html = write_report(out).read_text(encoding="utf-8")
@@ -294,7 +289,6 @@ def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> 
 
 
 def test_every_figure_is_written_in_every_format_asked_for(written: Any) -> None:
-    """SVG with real text always, and PDF as it was asked for."""
     names = set(written.report.figures)
     assert names >= {"ladder", "matrix", "accuracy", "paper-errors"}
     found = {path.name for path in (written.folder / "figures").iterdir()}
@@ -307,7 +301,6 @@ def test_every_figure_is_written_in_every_format_asked_for(written: Any) -> None
 
 
 def test_every_figure_is_a_valid_specification(written: Any) -> None:
-    """The grammar checks each, which a report leaves out for its speed."""
     report = written.report
     live = {n: chart for own in report.charts.values() for n, chart in own.items()}
     for name, chart in {**live, **report.figures}.items():

@@ -13,7 +13,6 @@ from dpbench.report.page.terms import PHRASES, Terms
 
 
 def test_a_term_is_linked_where_a_section_names_it_first() -> None:
-    """Whatever its number and capital; with what it means; what else stands there is escaped."""
     terms = Terms([])
     said = terms("Replays of a<b: the requirements, the replay and requirements.")
     assert said.count("<a ") == 2 and "a&lt;b" in said
@@ -26,13 +25,11 @@ def test_a_term_is_linked_where_a_section_names_it_first() -> None:
 
 
 def test_the_longest_phrase_is_the_term() -> None:
-    """No term within another, nor within a longer word."""
     said = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
     assert re.findall(r"#word-([\w-]+)", said) == ["rate-limit-step", "paired-ratio"]
 
 
 def test_heads_are_terms_without_their_unit() -> None:
-    """And plain text where the glossary has no such term."""
     terms = Terms([])
     assert ">behind [cm]</a>" in terms.head("behind [cm]")
     assert terms.head("<b>") == "&lt;b&gt;"
@@ -40,7 +37,6 @@ def test_heads_are_terms_without_their_unit() -> None:
 
 @pytest.mark.parametrize("phrase", PHRASES)
 def test_every_phrase_stands_for_a_term_of_the_glossary(phrase: str) -> None:
-    """And is found by itself."""
     terms = Terms([])
     assert f">{phrase}</a>" in terms(f"a {phrase} there")
     assert [word.term for word in terms.words] == [PHRASES[phrase]]
@@ -48,7 +44,6 @@ def test_every_phrase_stands_for_a_term_of_the_glossary(phrase: str) -> None:
 
 
 def test_every_link_of_the_page_leads_to_its_meaning(written: Any) -> None:
-    """The list of words has them all, and no word twice."""
     links = re.findall(r'class="term" href="#([\w-]+)" title="([^"]*)"', written.html)
     listed = re.findall(r'<dt id="([\w-]+)">[^<]*</dt><dd>(.*?)</dd>', written.html)
     assert len(links) > 15

@@ -13,7 +13,6 @@ VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 @pytest.mark.parametrize("entry", vendored(), ids=lambda entry: entry.file)
 def test_a_script_is_what_the_list_says(entry: Vendored) -> None:
-    """Hash, licence, and the version inside the script."""
     assert digest(entry) == entry.sha256
     assert "Redistribution" in VENDOR.joinpath(entry.licence_file).read_text()
     assert entry.version in script(entry)
@@ -21,6 +20,5 @@ def test_a_script_is_what_the_list_says(entry: Vendored) -> None:
 
 
 def test_nothing_lies_there_unlisted() -> None:
-    """Scripts, their licences and the list."""
     listed = {name for entry in vendored() for name in (entry.file, entry.licence_file)}
     assert {item.name for item in VENDOR.iterdir()} == listed | {"vendored.json"}

@@ -33,7 +33,6 @@ def said(records: Any) -> tuple[str, ...]:
 
 
 def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(records: Any) -> None:
-    """One is too late, one wrong; the best is named, how near the deadline, and after the loss."""
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
     first, second = said(campaign(records, solvers))
     assert first.startswith(
@@ -49,7 +48,6 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
 
 
 def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> None:
-    """Who passes here is all that the runs carry."""
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
     first, _ = said(campaign(records, solvers, forces=False))
     assert "three forces" not in first
@@ -57,7 +55,6 @@ def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> N
 
 
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:
-    """And nothing is said of a ship that nobody steers rightly."""
     (first,) = said(campaign(records, {"osqp": (60.0, 0.3)}))
     assert first.startswith("No solver can be recommended for a controller that steers thrusters.")
     assert first.endswith("with three forces (three_forces), 1 fails with thrusters: osqp, wrong.")
@@ -74,7 +71,6 @@ def test_a_loss_beyond_what_was_run_is_not_spoken_of(records: Any) -> None:
 
 @pytest.mark.parametrize("scenarios", [("paper",), ("paper", "rough", "thrusters")])
 def test_a_suite_about_other_things_says_nothing(records: Any, scenarios: tuple[str, ...]) -> None:
-    """Thrusters are steered in fewer than half of its loops."""
     for name in scenarios:
         records.loop("daqp", name, **WARM)
     records.replay("daqp", scenarios[-1], **WARM)

@@ -38,7 +38,6 @@ def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
 
 
 def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
-    """Brackets are rounded outwards; what was not found out is a dash."""
     none = replace(PAPER, held={})
     paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
     assert paper == ("paper 30/5 in tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
@@ -47,5 +46,4 @@ def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
 
 
 def test_without_designs_there_is_no_such_table(records: Any) -> None:
-    """A suite that looked at no controller says nothing about any."""
     assert _rows(None, records) == []

@@ -46,7 +46,6 @@ def test_the_forms_stand_side_by_side(records: Any) -> None:
 
 
 def test_route_settings_and_units_are_told_apart(records: Any) -> None:
-    """Each configuration has its row, SI units a table of their own."""
     for units in ("scaled", "si"):
         for route, median in (("qpsolvers", 50.0), ("native", 40.0)):
             configuration = {"route": route, "units": units, "spread": 0.0}
@@ -60,7 +59,6 @@ def test_route_settings_and_units_are_told_apart(records: Any) -> None:
 
 
 def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
-    """One formulation, or each sequence in one of its own, is no comparison."""
     records.replay("daqp")
     records.replay("daqp", sequence="rough", formulation="sparse")
     view = records.view()
@@ -70,7 +68,6 @@ def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
 
 
 def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> None:
-    """A sparse configuration that is faster, or wrong, moves no ranking, no way and no verdict."""
     records.replay("osqp", median_us=80.0, route="native", policy="reuse")
     records.replay("osqp", median_us=90.0, route="native", policy="fresh")
     records.loop("osqp", route="native")

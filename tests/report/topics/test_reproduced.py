@@ -32,7 +32,6 @@ def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
 
 
 def test_claims_of_the_paper_case(records: Any) -> None:
-    """With the numbers of the paper's case all holds but the steady error and the heading."""
     _pair(records)
     _pair(records, "paper_tight", tail_m=9.0, settle_0p1m_s=np.inf)
     failed = [claim for claim, state in _states(records).items() if state != "reproduced"]
@@ -52,7 +51,6 @@ def test_claims_of_the_paper_case(records: Any) -> None:
 def test_rows_that_contradict_are_believed(
     records: Any, column: str, value: float, claim: str
 ) -> None:
-    """When the clipped law is the better one in the rows, the opposite of the claim is found."""
     _pair(records, **{column: value})
     assert _states(records)[claim] == "opposite"
     topic = paper_topic(records.view())
@@ -72,7 +70,6 @@ def test_rows_that_contradict_are_believed(
 def test_claims_on_one_law_follow_its_row(
     records: Any, columns: dict[str, Any], claim: str
 ) -> None:
-    """A claim on the constrained law stands and falls with its row."""
     records.loop("daqp", steps=WHOLE, **columns)
     assert _states(records)[claim] == "not reproduced"
 
@@ -87,7 +84,6 @@ def test_claims_on_one_law_follow_its_row(
     ],
 )
 def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> None:
-    """From the step after the last one outside, which carries the claim as its share does not."""
     records.loop("daqp", steps=WHOLE)
     found = records.results()
     steps = found.steps.copy()
@@ -98,14 +94,12 @@ def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> 
 
 
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
-    """Without its closed loops no claim is judged and no choice is listed."""
     records.loop("daqp", "calm")
     assert set(_states(records).values()) == {"not measured"}
     assert choices(records.view()) == []
 
 
 def test_a_run_cut_short_represents_nobody(records: Any) -> None:
-    """The constrained law is shown by a complete run that follows the exact loop closest."""
     records.loop("cut", steps=WHOLE, error=1e-15, done=20, outcome="timed_out")
     records.loop("inexact", steps=WHOLE, error=0.3, tail_m=2.0)
     records.loop("exact", steps=WHOLE, error=1e-12)
@@ -115,7 +109,6 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
 
 
 def test_choices_are_those_of_the_rows(records: Any) -> None:
-    """The weights that are listed as chosen are those the run was made with."""
     _pair(records)
     found = dict(choices(records.view()))
     topic = paper_topic(records.view())
@@ -145,7 +138,6 @@ def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Res
 
 @pytest.mark.parametrize("part", ["sea", "ship"])
 def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
-    """A scenario called `paper` with another sea or ship is judged as any other scenario."""
 
     def change(files: dict[str, Any]) -> None:
         if part == "sea":
@@ -177,7 +169,6 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
 
 
 def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
-    """Of the claims that were measured, those that hold; all stand in the table."""
     _pair(records)
     topic = paper_topic(records.view())
     assert topic is not None

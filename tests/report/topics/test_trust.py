@@ -23,7 +23,6 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
 
 
 def test_what_the_machine_hides_is_said(records: Any) -> None:
-    """Beside the rounds that were disturbed or run again, where it calls itself quiet."""
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = trust_topic(records.view())
     assert topic is not None
@@ -33,7 +32,6 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
 
 
 def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
-    """The same on the page and at the end of a run, in whichever order the replays stand."""
     for sequence, median_us in (("calm", 50.1), ("paper", 52.0), ("rough", 50.2)):
         records.replay("busy_wait_50us", sequence, median_us=median_us, replay_s=1.0)
     topic = trust_topic(records.view())
