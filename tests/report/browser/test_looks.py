@@ -11,10 +11,17 @@ import pytest
 
 from dpbench.report.write import write_report
 from tests.conftest import MadeRecords
-from tests.report.browser.conftest import opening
+from tests.report.browser.conftest import (
+    AXE,
+    PHONE,
+    SCHEMES,
+    SIZES,
+    check_accessible,
+    click_middle,
+    opening,
+)
 
-AXE = Path(__file__).parent / "axe"
-DESK, PHONE = (1400, 900), (390, 844)
+pytestmark = pytest.mark.slow
 CHOSEN = "#s=osqp&w=qpsolvers-fresh&set=default&sc=paper&k=74"
 
 TEXTS = """async (names) => {
@@ -60,25 +67,17 @@ def test_axe_is_what_its_list_says() -> None:
     }
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
+@SCHEMES
+@SIZES
 def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int], scheme: str) -> None:
-    page = opened(CHOSEN, size=size, scheme=scheme)
-    page.evaluate((AXE / "axe.min.js").read_text())
-    violations = page.evaluate("axe.run(document).then((result) => result.violations)")
-    said = [(rule["id"], [node["html"][:200] for node in rule["nodes"]]) for rule in violations]
-    assert said == []
+    check_accessible(opened(CHOSEN, size=size, scheme=scheme), size[0])
 
 
-@pytest.mark.slow
 def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any) -> None:
     page = opened(CHOSEN, size=PHONE)
     assert "the chosen one: osqp (" in page.inner_text("#accuracy figcaption")
     points = page.locator("#figure-accuracy .mark-symbol path[aria-label*='solver: quadprog']")
-    points.first.scroll_into_view_if_needed()
-    box = points.first.bounding_box()
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    click_middle(page, points.first)
     page.wait_for_function("location.hash.includes('s=')")
     page.wait_for_timeout(300)
     chosen = page.evaluate("label(state.c)")
@@ -92,7 +91,6 @@ def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any
 
 
 @pytest.mark.parametrize("width", [320, 390, 768, 1400])
-@pytest.mark.slow
 def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     page = opened(CHOSEN, size=(width, 844))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -109,7 +107,6 @@ def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     assert boxes == []
 
 
-@pytest.mark.slow
 def test_sections_and_experiments_stay_on_a_phone(opened: Any) -> None:
     page = opened(CHOSEN, size=PHONE)
     commands = page.locator(".commands button").first.bounding_box()
@@ -152,16 +149,15 @@ def _overlapping(texts: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     return overlapping
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
+@SIZES
 def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) -> None:
     page = opened(CHOSEN, size=size)
     texts = page.evaluate(TEXTS, FIGURES)
     assert {text["figure"] for text in texts} >= {"ladder", "matrix", "accuracy", "strips", "pairs"}
     assert _overlapping(texts) == []
+    assert size != PHONE or [text for text in texts if text["size"] < 11.5] == [], "12 pixels"
 
 
-@pytest.mark.slow
 def test_many_experiments_at_many_levels_stand_below_each_other(
     chromium: Any, tmp_path: Path
 ) -> None:
@@ -187,13 +183,6 @@ def test_many_experiments_at_many_levels_stand_below_each_other(
         )
 
 
-@pytest.mark.slow
-def test_letters_are_large_enough_on_a_phone(opened: Any) -> None:
-    texts = opened(CHOSEN, size=PHONE).evaluate(TEXTS, FIGURES)
-    assert [text for text in texts if text["size"] < 11.5] == []
-
-
-@pytest.mark.slow
 def test_bars_have_the_width_of_a_phone(opened: Any) -> None:
     page = opened(CHOSEN + "&slow=10", size=PHONE)
     width = page.evaluate("views.ladder.then((view) => view.width())")
@@ -214,7 +203,6 @@ def test_bars_have_the_width_of_a_phone(opened: Any) -> None:
         assert box["y"] < middle and middle - (box["y"] + box["height"]) < 8
 
 
-@pytest.mark.slow
 def test_a_point_that_is_open_is_not_filled_like_one_that_meets(opened: Any) -> None:
     page = opened()
     dots = page.locator(
@@ -230,8 +218,7 @@ def test_a_point_that_is_open_is_not_filled_like_one_that_meets(opened: Any) -> 
     assert {"pass", "inconclusive", "late or fail"} <= {*legend}
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.slow
+@SCHEMES
 def test_signs_of_the_tiles_can_be_read(opened: Any, scheme: str) -> None:
     """Contrast of each sign to its tile, and of a figure's letters to the page: 4.5 to 1."""
     page = opened(scheme=scheme)

@@ -6,7 +6,6 @@ import io
 import re
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs
 
 import pandas as pd
 import pytest
@@ -18,20 +17,21 @@ from dpbench.report.page.recommendation import call_text
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
-from tests.report.browser.conftest import opening
+from tests.report.browser.conftest import (
+    DESK,
+    SIZES,
+    click_middle,
+    opening,
+    selection,
+    wait_until_ready,
+)
 
+pytestmark = pytest.mark.slow
 DRAWN = ("ladder", "matrix", "accuracy")
-DESK, PHONE = (1400, 900), (390, 844)
 CHOSEN = "#s=piqp&w=qpsolvers-fresh&set=default&sc=rough&k=74"
 
 
-def selection(page: Any) -> dict[str, str]:
-    """The selection that the address holds."""
-    fragment = page.evaluate("location.hash.slice(1)")
-    return {name: values[0] for name, values in parse_qs(fragment).items()}
-
-
-def settled(page: Any) -> None:
+def wait_for_strips(page: Any) -> None:
     """Wait until the strips show the configuration that the address names."""
     page.wait_for_timeout(400)
 
@@ -49,24 +49,10 @@ def test_it_opens_without_error_or_request(opened: Any) -> None:
     assert page.inner_text("#answer .lead").startswith("Use ")
     assert page.locator("#figure-ladder svg").bounding_box()["y"] < 900
     assert page.locator("#slow").bounding_box()["y"] < 900
-
-
-@pytest.mark.slow
-def test_it_keeps_its_budget(opened: Any) -> None:
-    page = opened()
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
     assert page.evaluate("document.documentElement.scrollHeight") <= 9 * 900
-    words = page.evaluate(
-        """() => {
-          for (const list of document.querySelectorAll("select"))
-            for (const option of [...list.options]) if (!option.selected) option.remove();
-          return document.body.innerText.split(/\\s+/).filter((w) => /\\p{L}{2}/u.test(w)).length;
-        }"""
-    )
-    assert 100 < words <= 1500
 
 
-@pytest.mark.slow
 def test_it_answers_without_scripts(opened: Any) -> None:
     page = opened(scripts=False)
     assert page.inner_text("#answer .lead").startswith("Use ")
@@ -84,7 +70,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     box, figure = name.bounding_box(), page.locator("#figure-ladder").bounding_box()
     page.mouse.click(figure["x"] + 0.7 * figure["width"], box["y"] + box["height"] / 2)
     page.wait_for_function("location.hash.includes('s=clarabel')")
-    settled(page)
+    wait_for_strips(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
         r"clarabel \(.*\): (pass|late|fail|inconclusive), p50 .*, p99 .*, hardest step .*, "
@@ -97,24 +83,20 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     assert marked == [str(page.evaluate("state.c"))]
 
 
-@pytest.mark.slow
 def test_a_tile_of_the_matrix_chooses_the_experiment_too(opened: Any) -> None:
     page = opened()
     wanted = page.locator(
         "#figure-matrix path[aria-label*='solver: highs'][aria-label*='experiment: calm']"
     )
-    wanted.first.scroll_into_view_if_needed()
-    box = wanted.first.bounding_box()
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    click_middle(page, wanted.first)
     page.wait_for_function("location.hash.includes('s=highs')")
-    settled(page)
+    wait_for_strips(page)
     assert selection(page)["sc"] == "calm"
     assert page.inner_text("#one-said").startswith(("Passes in calm", "Fails in calm"))
     assert rows_in(page, "strips", "steps") >= 100
     assert rows_in(page, "strips", "forces") >= 100
 
 
-@pytest.mark.slow
 def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     page = opened()
     page.select_option("#table-of", "all")
@@ -124,7 +106,7 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     before = row.bounding_box()
     row.locator("td").nth(3).click()
     page.wait_for_function("location.hash.includes('s=quadprog')")
-    settled(page)
+    wait_for_strips(page)
     assert page.locator("#table-body tr[aria-current]").count() == 1
     assert row.get_attribute("aria-current") == "true"
     assert abs(row.bounding_box()["y"] - before["y"]) < 30
@@ -136,18 +118,17 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "one"
 
 
-@pytest.mark.slow
 def test_a_hard_step_opens(opened: Any) -> None:
     page = opened()
     page.select_option("#choose-experiment", label="paper (replay)")
-    settled(page)
+    wait_for_strips(page)
     button = (
         page.locator("#hard p", has_not_text=re.compile("all |windows")).locator("button").first
     )
     k = re.match(r"k (\d+):", button.inner_text())
     assert k
     button.click()
-    settled(page)
+    wait_for_strips(page)
     assert selection(page)["k"] == k[1]
     assert f"Step {k[1]}:" in page.inner_text("#step-said")
     assert f"--at {k[1]} " in page.inner_text("#step-export")
@@ -162,27 +143,23 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert rows_in(page, "strips", "steps") >= 100
     wide = page.locator("#figure-strips canvas").bounding_box()["width"]
     page.select_option("#choose-experiment", label="paper")
-    settled(page)
+    wait_for_strips(page)
     assert rows_in(page, "strips", "forces") >= 100
     assert page.locator("#figure-strips canvas").bounding_box()["width"] < wide
     assert page.locator("#figure-strips canvas").count() == 1
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
+@SIZES
 def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int, int]) -> None:
     page = opened(size=size)
     row = page.evaluate("rowsDrawn('ladder').values.at(-1)")
     name = page.locator("#figure-ladder text", has_text=row["solver"]).last
     said = name.text_content()
     assert said.replace(", ", " ").replace("(", "").startswith(row["solver"] + " ")
-    name.scroll_into_view_if_needed()
-    box = name.bounding_box()
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    click_middle(page, name)
     page.wait_for_function(f"state.c === {row['id']}")
 
 
-@pytest.mark.slow
 def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     canvas = page.locator("#figure-strips canvas")
@@ -198,7 +175,6 @@ def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
     assert abs(int(selection(page)["k"]) - wanted) < 4.0, "a dot there is the step it stands for"
 
 
-@pytest.mark.slow
 def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> None:
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     heads = page.locator("#hard span").all_inner_texts()
@@ -221,7 +197,6 @@ def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> N
     assert selection(page)["sc"] == experiment
 
 
-@pytest.mark.slow
 def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
     assert not opened().locator("#one-call").is_visible(), "it would stand there twice"
     page = opened("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
@@ -236,7 +211,6 @@ def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
     assert page.text_content("#paste-1") == first
 
 
-@pytest.mark.slow
 def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> None:
     page = opened()
     page.select_option("#table-of", "all")
@@ -260,7 +234,6 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
     assert known == sorted(known, reverse=True)
 
 
-@pytest.mark.slow
 def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) -> None:
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
     said = page.inner_text("#step-said")
@@ -282,7 +255,6 @@ def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) ->
     assert float(ship[5]) == pytest.approx(100 * row["tau_x_N"] / limit, rel=0.05, abs=0.2)
 
 
-@pytest.mark.slow
 def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: Path) -> None:
     """Whatever experiment is chosen; its lines give the p99 that the page names."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
@@ -296,7 +268,6 @@ def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: P
     assert f"p99 {page.evaluate(f'time({1e3 * p99_us})')}" in page.inner_text("#chosen")
 
 
-@pytest.mark.slow
 def test_the_slider_moves_the_ladder(opened: Any) -> None:
     page = opened()
     first = page.locator("#figure-ladder .mark-symbol path").first
@@ -305,12 +276,11 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
     for stop in (2, 5, 10):
         page.keyboard.press("ArrowRight")
         assert float(selection(page)["slow"]) == stop
-    settled(page)
+    wait_for_strips(page)
     assert first.bounding_box()["x"] > before + 40
     assert page.input_value("#slow-said") == "10"
 
 
-@pytest.mark.slow
 def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
     chromium: Any, tmp_path: Path
 ) -> None:
@@ -323,49 +293,21 @@ def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
     assert "2 of the 2 that nothing contradicts here keep the deadline of 300 ms" in said, said
 
 
-@pytest.mark.slow
-def test_the_verdict_is_that_of_the_slower_computer(opened: Any) -> None:
-    """A typed slow-down: the speed margin decides in words and colours; a tooltip has no number of
-    this machine among those of another."""
-    page = opened()
-    page.fill("#slow-said", "100")
-    page.press("#slow-said", "Enter")
-    settled(page)
-    assert selection(page)["slow"] == "100"
-    rows = page.evaluate("rowsDrawn('ladder').values")
-    right = [row for row in rows if row["verdict"] == "pass"]
-    meet = [row for row in right if row["margin"] >= 100]
-    assert 0 < len(meet) < len(right) < len(rows)
-    said = page.inner_text("#slow-kept")
-    assert f" {len(meet)} of the {len(right)} that pass here keep the deadline" in said
-    labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
-        "(all) => unique(all.map((one) => one.getAttribute('aria-label')))"
-    )
-    met = {
-        label.split("configuration: ")[1].split(" (")[0]
-        for label in labels
-        if "verdict there: pass" in label
-    }
-    assert met == {row["solver"] for row in meet}
-    measured = r"largest single timing \[ms\]: [\d.e-]+, as measured"
-    assert all(re.search(measured, label) for label in labels)
-    assert all("computer slower: × 100" in label for label in labels)
-
-
 def test_a_bound_is_never_rounded_up(opened: Any) -> None:
     page = opened()
     for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
         assert page.evaluate(f"Number(roundedDown({value}))") == float(rounded_down(value))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("slow", [1, 200, 2000, 10_000])
-def test_the_chosen_one_and_the_count_go_by_one_measure(
+def test_the_speed_margin_decides_everywhere_on_a_slower_computer(
     opened: Any, written: Any, slow: int
 ) -> None:
-    """No solver is drawn late and listed as keeping the deadline at the same factor: the speed
-    margin decides everywhere."""
-    page = opened(f"#slow={slow}")
+    page = opened()
+    page.fill("#slow-said", str(slow))
+    page.press("#slow-said", "Enter")
+    wait_for_strips(page)
+    assert slow == 1 or selection(page)["slow"] == str(slow)
     facts = written.report.data
     drawn = page.evaluate("rowsDrawn('ladder').values")
     bounds = {}
@@ -389,6 +331,8 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
         if "verdict there: pass" in label
     }
     assert met == {row["solver"] for row in keep}
+    measured = r"largest single timing \[ms\]: [\d.e-]+, as measured"
+    assert slow == 1 or all(re.search(measured, label) for label in labels)
     for c, bound in bounds.items():
         page.evaluate(f"select({{ c: {c} }})")
         said = page.inner_text("#slow-kept")
@@ -396,7 +340,6 @@ def test_the_chosen_one_and_the_count_go_by_one_measure(
         assert (": late beyond × " in said) == (bound < slow)
 
 
-@pytest.mark.slow
 def test_reload_and_back_restore(opened: Any) -> None:
     page = opened(CHOSEN + "&slow=50")
     assert page.input_value("#choose-solver") == "piqp"
@@ -406,27 +349,25 @@ def test_reload_and_back_restore(opened: Any) -> None:
     page.select_option("#choose-solver", "scs")
     page.wait_for_function("location.hash.includes('s=scs')")
     page.reload()
-    page.wait_for_selector("html[data-ready]", state="attached")
+    wait_until_ready(page)
     assert page.input_value("#choose-solver") == "scs"
     page.go_back()
     page.wait_for_function("document.getElementById('choose-solver').value === 'piqp'")
-    settled(page)
+    wait_for_strips(page)
     assert page.inner_text("#step-said") == said
     assert page.input_value("#slow-said") == "50"
 
 
-@pytest.mark.slow
 def test_another_solver_shows_the_same_step(opened: Any) -> None:
     page = opened(CHOSEN)
     page.select_option("#choose-solver", "daqp")
     page.wait_for_function("location.hash.includes('s=daqp')")
-    settled(page)
+    wait_for_strips(page)
     assert selection(page)["k"] == "74"
     said = page.inner_text("#step-said")
     assert said.startswith("Step 74:") and "it said “solved”; its answer is right" in said
 
 
-@pytest.mark.slow
 def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
     page = opened(CHOSEN)
     page.locator("#answer .term").first.scroll_into_view_if_needed()
@@ -437,26 +378,6 @@ def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
     assert selection(page)["k"] == "74"
 
 
-@pytest.mark.slow
-def test_words_are_a_click_away(opened: Any) -> None:
-    page = opened()
-    page.click("#answer a[href='#words']")
-    assert page.locator("#words dt").first.is_visible()
-    terms = page.locator("#words dt").all_inner_texts()
-    assert {
-        "requirements",
-        "replay",
-        "closed loop",
-        "p50, p95, p99",
-        "round",
-        "sample",
-        "step",
-    } <= {*terms}
-    assert {"rate-limit step", "certified optimum", "fallback"} <= {*terms}
-    assert page.evaluate("document.activeElement.id") == "words"
-
-
-@pytest.mark.slow
 def test_every_scenario_is_explained(opened: Any) -> None:
     page = opened()
     title = load_scenario("paper_tight").title
@@ -476,7 +397,6 @@ def test_every_scenario_is_explained(opened: Any) -> None:
     assert page.locator("#words dt", has_text="rough[900:1400]").is_visible()
 
 
-@pytest.mark.slow
 def test_a_term_says_what_it_means(opened: Any) -> None:
     page = opened(CHOSEN)
     before = selection(page)
@@ -496,7 +416,6 @@ def test_a_term_says_what_it_means(opened: Any) -> None:
     assert selection(page) == before
 
 
-@pytest.mark.slow
 def test_the_keys_stay_in_the_table_at_its_end(opened: Any) -> None:
     page = opened()
     page.select_option("#table-of", "all")
@@ -512,7 +431,6 @@ def test_the_keys_stay_in_the_table_at_its_end(opened: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "table-next"
 
 
-@pytest.mark.slow
 def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
     page = opened(CHOSEN + "&slow=50")
     before = selection(page)
@@ -526,7 +444,6 @@ def test_sections_and_colours_keep_the_selection(opened: Any) -> None:
     assert rows_in(page, "strips", "steps") >= 100
 
 
-@pytest.mark.slow
 def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -> None:
     page = opened()
     page.select_option("#table-of", "all")
@@ -550,7 +467,6 @@ def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -
         assert numbers or group in ("memory", "deadline")
 
 
-@pytest.mark.slow
 def test_two_solvers_are_compared(opened: Any) -> None:
     page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
     assert rows_in(page, "pairs", "pairs") > 100
@@ -568,7 +484,6 @@ def test_two_solvers_are_compared(opened: Any) -> None:
     assert len(markdown.encode()) < 3000
 
 
-@pytest.mark.slow
 def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
     facts = written.report.data
     timed = [v for v in facts.verdicts.all if v.timed_on]
@@ -581,7 +496,6 @@ def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> 
         assert reach == pytest.approx((ratio.high / ratio.low) ** 0.5, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_the_keyboard_reaches_everything(opened: Any) -> None:
     page = opened(CHOSEN)
     wanted = page.evaluate(
@@ -602,17 +516,16 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     page.focus("#hard button")
     page.keyboard.press("Enter")
-    settled(page)
+    wait_for_strips(page)
     assert selection(page)["k"] != "74"
 
 
-@pytest.mark.slow
 def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
     page = opened()
     rows = page.evaluate("rowsDrawn('ladder').values.map((row) => Number(row.id))")
     page.focus("#figure-ladder")
     page.keyboard.press("ArrowDown")
-    settled(page)
+    wait_for_strips(page)
     chosen = page.evaluate("state.c")
     assert chosen in rows and rows.index(chosen) > 0
     assert selection(page)["s"] == page.evaluate(f"C().solver[{chosen}]")
@@ -626,8 +539,7 @@ def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "one"
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
+@SIZES
 def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> None:
     page = opened("#s=clarabel&w=qpsolvers-fresh&set=default&sc=paper", size=size)
     page.focus("#figure-matrix")
@@ -647,7 +559,6 @@ def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> 
     assert selection(page)["set"] == last["settings"]
 
 
-@pytest.mark.slow
 def test_late_is_not_wrong(opened: Any) -> None:
     """On a slower computer a right solver is late, in another colour, shape and sign than a wrong
     one, which stays wrong; the limit of the p99 is a line of its own beside the deadline."""
@@ -669,7 +580,6 @@ def test_late_is_not_wrong(opened: Any) -> None:
     assert "Fail: " in said and "Late: " in said
 
 
-@pytest.mark.slow
 def test_the_matrix_shows_another_way(opened: Any) -> None:
     page = opened()
     modes = page.locator("#matrix-mode option").evaluate_all("(all) => all.map((one) => one.value)")
@@ -691,7 +601,6 @@ def test_the_matrix_shows_another_way(opened: Any) -> None:
     assert page.locator("#figure-matrix path[aria-label*='verdict: pass']").count() == before
 
 
-@pytest.mark.slow
 def test_it_copies(opened: Any) -> None:
     page = opened(CHOSEN)
     for name in ("step-export", "step-query", "data-query"):
@@ -712,15 +621,10 @@ def test_it_copies(opened: Any) -> None:
     page.wait_for_function("getSelection().toString().includes('open_workspace')")
 
 
-@pytest.mark.slow
-def test_it_prints(opened: Any) -> None:
-    sheets = re.findall(rb"/Type\s*/Page\b", opened().pdf(format="A4"))
-    assert 1 <= len(sheets) <= 12
-
-
-@pytest.mark.slow
 def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
     page = opened(CHOSEN, scheme="dark")
+    sheets = re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4"))
+    assert 1 <= len(sheets) <= 12
     page.emulate_media(media="print")
     page.set_viewport_size({"width": 710, "height": 1039})  # A4 less its margins, at 96 dpi
     page.wait_for_timeout(800)
@@ -742,7 +646,6 @@ def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
     assert ink.strip() == "#1d2733"
 
 
-@pytest.mark.slow
 def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
     whiskers = "#figure-ladder path[stroke-dasharray], #figure-ladder line[stroke-dasharray]"
     page = opened()

@@ -17,15 +17,24 @@ from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.run_record import records_of
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.report.compare.page import write_comparison
 from dpbench.report.compare.tables import _together
+from tests.report.conftest import run_row
 from tests.result_folder import write_results
 
 STEPS, ROUNDS = 100, 8
 ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")
+QUIET: dict[str, Any] = {
+    **{"reference_kernel_ns": 5e4, "rounds": ROUNDS, "disturbed_rounds": 0, "rerun_rounds": 0},
+    **{"counting_disturbed": 0, "replay_s": 1.0, "involuntary_switches": 0.0, "steal_s": 0.0},
+}
 Make = Callable[..., Path]
+
+
+def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, Any]:
+    return run_row(f"{mode}-{solver}", mode, solver, STEPS, **(QUIET | columns))
 
 
 def replay_rows(
@@ -47,37 +56,6 @@ def replay_rows(
             "error_plan": np.tile(error, ROUNDS),
         }
     )
-
-
-def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of runs.parquet."""
-    return {
-        "run_id": f"{mode}-{solver}",
-        "mode": mode,
-        "scenario": "paper",
-        "sequence": "paper" if mode == "replay" else "",
-        "solver": solver,
-        "solver_version": "1.0",
-        "route": "native",
-        "policy": "fresh",
-        "settings": "default",
-        "formulation": "condensed_box",
-        "units": "scaled",
-        "outcome": "finished",
-        "schema": SCHEMA_VERSION,
-        "cell": json.dumps({"scenario": {"name": "paper"}}),
-        "steps_planned": STEPS,
-        "steps_done": STEPS,
-        "reference_kernel_ns": 5e4,
-        "rounds": ROUNDS,
-        "disturbed_rounds": 0,
-        "counting_disturbed": 0,
-        "rerun_rounds": 0,
-        "replay_s": 1.0,
-        "involuntary_switches": 0.0,
-        "steal_s": 0.0,
-        **columns,
-    }
 
 
 @pytest.fixture
@@ -108,15 +86,9 @@ def make(tmp_path: Path) -> Make:
         if loop is not None:
             runs.append(identity("closed_loop", "daqp", loop))
         described = {"id": machine_id, "kernel": f"Linux of {machine_id}"}
-        write_results(
-            tmp_path / name,
-            Results(
-                as_runs(pd.DataFrame(runs)),
-                StepsInMemory(as_steps(pd.concat(steps, ignore_index=True))),
-                described,
-                {"name": "synthetic"},
-            ),
-        )
+        recorded = StepsInMemory(as_steps(pd.concat(steps, ignore_index=True)))
+        table = as_runs(pd.DataFrame(runs))
+        write_results(tmp_path / name, Results(table, recorded, described, {"name": "synthetic"}))
         return tmp_path / name
 
     return folder
@@ -138,9 +110,7 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     expected = dict.fromkeys(ARMS, "equivalent") | {"piqp": "slower", "scs": "faster"}
     assert verdicts(found.times) == expected
     row = found.times.set_index("solver").loc["piqp"]
-    assert row["ratio"] == pytest.approx(1.3, rel=0.02)
-    assert row["raw"] == pytest.approx(1.43, rel=0.02)
-    assert row["machine"] == pytest.approx(1.1, rel=0.02)
+    assert row[["ratio", "raw", "machine"]].tolist() == pytest.approx([1.3, 1.43, 1.1], rel=0.02)
     assert row["low"] < 1.3 < row["high"]
     assert found.worse
     assert any("by 1.100 the reference kernel" in line for line in found.lines)
@@ -214,8 +184,7 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     after: Any,
     reason: str,
 ) -> None:
-    """1.496 in all configurations, 1.025 in the kernel: said on the screen and the page alike, exit
-    0."""
+    """1.496 in all configurations and 1.025 in the kernel; exit code 0."""
     a = make("a", seed=1, **before)
     b = make("b", seed=2, machine=1.496, **({"reference_kernel_ns": 1.025 * 5e4} | after))
     page = tmp_path / "compare.md"
@@ -234,38 +203,29 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
 
 @pytest.mark.slow
 def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
-    """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0, are not called
-    slower."""
+    """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0."""
     both = ("daqp", "piqp")
     a = make("a", seed=1, configurations=both, **STOLEN)
     found = compare(a, make("b", seed=2, configurations=both, machine=1.5, **STOLEN))
     assert set(found.times["verdict"]) == {"no difference shown"}
     assert found.times["machine"].tolist() == [1.0, 1.0]
     assert not found.worse
-    quiet = (
-        make("c", seed=1, configurations=both),
-        make("d", seed=2, configurations=both, machine=1.5),
-    )
-    assert set(compare(*quiet).times["verdict"]) == {"slower"}
+    a = make("c", seed=1, configurations=both)
+    quiet = compare(a, make("d", seed=2, configurations=both, machine=1.5))
+    assert set(quiet.times["verdict"]) == {"slower"}
 
 
 @pytest.mark.slow
 def test_few_configurations_are_held_against_the_kernel(make: Make) -> None:
-    """Two configurations on a machine twice as slow, as the kernel says: 1.1 hides in it, 2 does
-    not."""
-    both = ("daqp", "piqp")
-    a = make("a", seed=1, configurations=both)
-    slow = {"piqp": 1.1}
-    found = compare(
-        a, make("b", seed=2, configurations=both, slow=slow, machine=2.0, reference_kernel_ns=1e5)
-    )
-    assert set(found.times["verdict"]) == {"no difference shown"}
-    assert found.times["machine"].tolist() == pytest.approx([2.0, 2.0])
-    slow = {"piqp": 2.0}
-    found = compare(
-        a, make("c", seed=2, configurations=both, slow=slow, machine=2.0, reference_kernel_ns=1e5)
-    )
-    assert verdicts(found.times)["piqp"] == "slower"
+    """On a machine twice as slow, as the kernel says, 1.1 hides in it and 2 does not."""
+    both: dict[str, Any] = {"configurations": ("daqp", "piqp")}
+    loaded = both | {"machine": 2.0, "reference_kernel_ns": 1e5, "seed": 2}
+    a = make("a", seed=1, **both)
+    times = compare(a, make("b", slow={"piqp": 1.1}, **loaded)).times
+    assert set(times["verdict"]) == {"no difference shown"}
+    assert times["machine"].tolist() == pytest.approx([2.0, 2.0])
+    times = compare(a, make("c", slow={"piqp": 2.0}, **loaded)).times
+    assert verdicts(times)["piqp"] == "slower"
 
 
 @pytest.mark.slow
@@ -393,10 +353,7 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(
     assert verdicts(found.times)["osqp"] == "slower"
     assert "daqp" not in verdicts(found.times)
     row = found.times.set_index("solver").loc["osqp"]
-    assert (row["machine"], row["ratio"]) == (
-        pytest.approx(3, rel=0.02),
-        pytest.approx(6, rel=0.02),
-    )
+    assert row[["machine", "ratio"]].tolist() == pytest.approx([3, 6], rel=0.02)
     assert not found.shared
 
 
@@ -436,27 +393,17 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
     assert "Both runs" in page
 
 
-@pytest.mark.parametrize(
-    ("options", "parts"),
-    [
-        (["--margin", "0"], ["--margin", "0"]),
-        (["--margin", "nan"], ["--margin", "nan"]),
-        (["--alpha", "0.7"], ["--alpha", "0.7"]),
-        (["--alpha", "much"], ["--alpha", "much"]),
-    ],
-)
-def test_bad_options(
-    make: Make, options: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("option", ["--margin 0", "--margin nan", "--alpha 0.7", "--alpha much"])
+def test_bad_options(make: Make, option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """One line with option and value, exit 2."""
     a = make("a", seed=1)
     try:
-        code = main(["compare", str(a), str(a), *options])
+        code = main(["compare", str(a), str(a), *option.split()])
     except SystemExit as exit_:
         code = int(exit_.code or 0)
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert code == 2
-    assert all(part in line for part in parts)
+    assert all(part in line for part in option.split())
 
 
 def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
@@ -516,8 +463,7 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
 
 @pytest.mark.slow
 def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Make) -> None:
-    """1.4 in all configurations and in the load kernel, none in the other: no regression; without
-    it, one."""
+    """1.4 in all configurations and in the load kernel, but not in the other."""
     a = make("a", seed=1, load_kernel_ns=6e4)
     loaded = compare(a, make("b", seed=2, machine=1.4, load_kernel_ns=1.4 * 6e4))
     assert not loaded.worse
@@ -544,10 +490,8 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 
 def test_another_build_of_the_same_version_is_said() -> None:
     builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
-    runs = as_runs(
-        pd.DataFrame([identity("replay", "hpipm", {"build": build}) for build in builds])
-    )
-    generic, fast = records_of(runs)
+    rows = [identity("replay", "hpipm", {"build": build}) for build in builds]
+    generic, fast = records_of(as_runs(pd.DataFrame(rows)))
     assert Pair(generic, generic).label.startswith("hpipm (")
     said = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
     assert Pair(generic, fast).label.startswith(said)

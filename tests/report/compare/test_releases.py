@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,11 @@ import pytest
 
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases, write_releases
+from tests.report.conftest import run_row
 from tests.result_folder import write_results
 
 Make = Callable[..., Path]
@@ -38,30 +38,15 @@ def make(tmp_path: Path) -> Make:
         **columns: float,
     ) -> Path:
         rows = [
-            {
-                "run_id": f"{name}-{solver}",
-                "mode": "replay",
-                "scenario": scenario,
-                "sequence": scenario,
-                "solver": solver,
-                "solver_version": versions.get(solver, "1.0"),
-                "route": "native",
-                "policy": "fresh",
-                "settings": "default",
-                "formulation": "condensed_box",
-                "units": "scaled",
-                "outcome": "finished",
-                "schema": SCHEMA_VERSION,
-                "cell": json.dumps({"scenario": {"name": scenario}}),
-                "steps_planned": 1000,
-                "steps_done": 1000,
-                "error_move_max": errors.get(solver, 1e-6),
-                "failed_steps": 0,
-                "algo_p50_ns": 1e3 * time,
-                "algo_p99_ns": 2e3 * time,
-                "algo_max_ns": 3e3 * time,
+            run_row(
+                *(f"{name}-{solver}", "replay", solver, 1000),
+                scenario=scenario,
+                solver_version=versions.get(solver, "1.0"),
+                error_move_max=errors.get(solver, 1e-6),
+                failed_steps=0,
+                **{"algo_p50_ns": 1e3 * time, "algo_p99_ns": 2e3 * time, "algo_max_ns": 3e3 * time},
                 **columns,
-            }
+            )
             for solver, time in times_us.items()
         ]
         folder = tmp_path / name
