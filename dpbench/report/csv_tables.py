@@ -18,10 +18,10 @@ from dpbench.analysis.times.solver_tables import (
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.files.writing import write_together
-from dpbench.report.escaped import csv_bytes, markdown_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
+from dpbench.report.table import csv_bytes, markdown_text
 from dpbench.report.words import beside, document
 
 LEGEND = "README.md"

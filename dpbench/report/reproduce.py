@@ -17,10 +17,9 @@ from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.bench.record.revision import made_by
 from dpbench.files.writing import write_bytes, write_text
 from dpbench.report.charts.render import encoded
-from dpbench.report.escaped import csv_bytes
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.section import Topic
-from dpbench.report.table import markdown
+from dpbench.report.table import csv_bytes, markdown
 from dpbench.report.topics.paper import Claim, claims, held_text, paper_topic
 from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario

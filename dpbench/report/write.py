@@ -13,8 +13,7 @@ from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encoded
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.documents.comment import beside, worst_text
-from dpbench.report.documents.markdown import report_markdown
+from dpbench.report.documents.markdown import beside, report_markdown, worst_text
 from dpbench.report.documents.sent import PAGE, prepare
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html

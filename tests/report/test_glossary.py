@@ -27,7 +27,7 @@ from dpbench.cli.list_problems import problem_list
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.compare.tables import answers_table, solvers_table, times_table
+from dpbench.report.compare.comparison import answers_table, solvers_table, times_table
 from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table

@@ -17,8 +17,7 @@ from dpbench.files.writing import write_given
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison
-from dpbench.report.compare.tables import answer_line, shared_line, times_table
+from dpbench.report.compare.comparison import Comparison, answer_line, shared_line, times_table
 from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.data import columns_of
 from dpbench.report.page.pack import Block

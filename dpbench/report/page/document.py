@@ -15,8 +15,8 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style
 from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.live import SECTIONS
+from dpbench.report.page.pack import FLAGS
 from dpbench.report.page.recommendation import Recommendation, call_text
-from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.terms import Word
 
 

@@ -11,9 +11,7 @@ import pandas as pd
 from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.solver_tables import level_table, pair_reaches, tile_table, time_table
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.accuracy import accuracy
-from dpbench.report.charts.ladder import ladder
-from dpbench.report.charts.matrix import matrix
+from dpbench.report.charts.overview import accuracy, ladder, matrix
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import pairs, strips
 from dpbench.report.charts.study import behind_there, design, seas_there

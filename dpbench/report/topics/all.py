@@ -13,17 +13,21 @@ from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.capability import capability_topic
-from dpbench.report.topics.conclusion import conclusion_topic
 from dpbench.report.topics.consequence import consequence_topic
 from dpbench.report.topics.loops import loops_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
-from dpbench.report.topics.replays import formulations_topic, levels_topic, race_topic, routes_topic
+from dpbench.report.topics.replays import (
+    formulations_topic,
+    levels_topic,
+    race_topic,
+    routes_topic,
+    worst_case_topic,
+)
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
-from dpbench.report.topics.thrusters import thrusters_topic
+from dpbench.report.topics.thrusters import conclusion_topic, thrusters_topic
 from dpbench.report.topics.trust import trust_topic
-from dpbench.report.topics.worst_case import worst_case_topic
 
 
 def topics_of(

@@ -15,7 +15,7 @@ from dpbench.analysis.suites.consequence import (
     BatchAnswers,
     consequence_analyses,
 )
-from dpbench.report.charts.consequence import shares, spans
+from dpbench.report.charts.capability import shares, spans
 from dpbench.report.formats import counted_list, of_sample_text, plural
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table

@@ -19,8 +19,8 @@ from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
+from dpbench.report.compare.comparison import _together
 from dpbench.report.compare.page import write_comparison
-from dpbench.report.compare.tables import _together
 from tests.report.conftest import run_row
 from tests.result_folder import write_results
 

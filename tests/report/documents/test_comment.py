@@ -11,14 +11,14 @@ import pytest
 from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.comment import MOST_BYTES, beside
+from dpbench.report.documents.markdown import COMMENT_BYTES, beside
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
 def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
     """At most 3 kB; the usual two, without the solver itself."""
     text, worst = beside(written.report, solver)
-    assert len(text.encode()) <= MOST_BYTES
+    assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
     assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
     assert all(f"| {name} |" in text for name in [solver, *others])

@@ -19,8 +19,7 @@ from dpbench.bench.capability.table import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
-from dpbench.report.documents.passive_page import check_passive
-from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
+from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_passive, check_sent
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
 SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'

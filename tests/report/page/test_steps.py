@@ -21,10 +21,9 @@ from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
-from dpbench.report.page import steps as packing
+from dpbench.report.page import pack as packing
 from dpbench.report.page.data import PageData
-from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import FLAGS, Room, pack_steps
+from dpbench.report.page.pack import FLAGS, Block, Room, pack_steps
 from tests.report.page.test_pack import unpacked
 
 

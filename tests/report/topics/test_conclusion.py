@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from dpbench.report.report import Report
-from dpbench.report.topics.conclusion import conclusion_topic
+from dpbench.report.topics.thrusters import conclusion_topic
 
 WARM = {"route": "native", "policy": "warm"}
 
