@@ -24,6 +24,7 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
+from dpbench.report.words import beside
 
 NOBODY = "No solver was run, so there is nothing to judge."
 
@@ -129,52 +130,7 @@ def clauses(findings: Sequence[Finding]) -> str:
     return "; ".join(map(clause, findings))
 
 
-_WORDS = {
-    "no answer": "it leaves steps without an answer in {experiments}",
-    "inaccurate": "its first move is up to {error} of a rate-limit step off the optimum in {where}"
-    "{also_over}",
-    "failed": "{value:.0f} of {of} fail in {where}{some_also}",
-    "crashed": "its process ended in {where}: {detail}{also}",
-    "hung": "it did not return in {where}: {detail}{also}",
-    "p99 late": "its p99 is {time} in {where}",
-    "p95 late": "its p95 is already {time} in {where}",
-    "window late": "its p99 is {time} by {where}",
-    "deadline late": "its hardest step takes {time} in {where}, beyond the deadline",
-    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
-    "late timings": "{share} of {timings} in {where} exceed the p99 limit; the machine "
-    "explains {machine}{also}",
-    "past the deadline": "{share} of {timings} in {where} exceed the deadline; the machine "
-    "explains {machine}{also}",
-    "late at random": "{share} of {timings} in {where} exceed the p99 limit though the same step "
-    "is in time in another round; the machine explains {machine}{also}",
-    "perhaps late timings": "{share} of {timings} in {where} exceed the p99 limit, perhaps by the "
-    "machine, which explains {machine}{also}",
-    "perhaps past the deadline": "{share} of {timings} in {where} exceed the deadline, perhaps by "
-    "the machine, which explains {machine}{also}",
-    "p99 borderline": "its p99 of {time} in {where} is as near to the limit as rounds differ",
-    "p95 borderline": "its p95 of {time} in {where} is as near to the limit as rounds differ",
-    "deadline borderline": "its hardest step takes {time} in {where}, as near to the deadline as "
-    "rounds differ",
-    "loop borderline": "the median of its timings is {time} in {where}, a closed loop, as near to "
-    "the limit as rounds differ{also}",
-    "stopped": "{where} was stopped at its time limit ({value:.0f} of {steps})",
-    "lost": "the harness lost {where}: {detail}",
-    "ended": "{where} {outcome}: {detail}",
-    "uncertified": "{counted} of {where} have no certified optimum",
-    "remembered": "in {where} it answers a step that it has seen before faster than warming "
-    "explains, so its times there are of remembered answers",
-    "hidden work": "its other threads work {value:.2g} times as long as all timed calls take in "
-    "{where}{also}",
-    "not alone": "{where} was timed beside other work, or on another machine",
-    "no step": "{where} left no counting step",
-    "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
-    "short slow loop": "the median of its few timings is {time} in {where}, a closed loop{also}",
-    "no closed loop": "no closed loop was run",
-    "no replay": "no replay was run, so its time is not judged",
-    "absent": "not run in {experiments}",
-    "refused": "not run in {where} ({detail})",
-    "short": "not run whole in {where} ({planned} of {steps})",
-}
+_WORDS: dict[str, str] = beside(__file__)["findings"]
 
 
 def clause(finding: Finding) -> str:

@@ -1,4 +1,4 @@
-"""Compare two result folders: who became slower, less accurate or a worse pilot."""
+"""Comparison of two result folders: step times, accuracy and control, in lines and tables."""
 
 from __future__ import annotations
 

@@ -1,19 +1,23 @@
-"""Pack arrays into one compressed block of text that a page unpacks by itself.
+"""Packed arrays: one compressed block of text that a page unpacks by itself.
 
-    block  =  base64( zlib( head ‖ arrays ) ) head   =  length of the JSON as uint32, the JSON:
+    block = base64(zlib(head ‖ arrays)); head = length of the JSON as uint32, then the JSON:
     {"arrays": [[kind, start, count, scale, places], ...], ...}
 
-Numbers become small integers first, since what is told apart on a screen needs no more:
+Numbers become small integers, since a screen shows no more:
 
-    log     round(200·log10(x / 1e-16)) + 2 as uint16: 1.2 % apart; 0 missing, 1 zero, 65535
-    infinite linear  round(x / scale) as int16; −32768 missing count   uint16, 65535 missing flag
-    uint8 place   rising, as uint16 differences from element to element, not modulo anything
+    log     uint16, round(200·log10(x / 1e-16)) + 2, 1.2 % apart; 0 missing, 1 zero, 65535 infinite
+    linear  int16, round(x / scale); −32768 missing
+    count   uint16; 65535 missing
+    flag    uint8
+    place   uint16, rising, as differences from element to element, not modulo anything
 
 An array of a few elements of a long one has the number of the array of their `places` behind it,
-whose scale is the length of the long one; all other elements are missing, or 0 of a flag.
+whose scale is the length of the long one; all other elements are missing, or 0 of a flag. The bytes
+of 16-bit arrays are stored low bytes first, and linear and count arrays as differences from element
+to element: both halve what zlib leaves.
 
-The bytes of 16-bit arrays are stored plane by plane, low bytes first, and linear and count arrays
-as differences from element to element: both halve what zlib leaves.
+The track of a closed loop is stored as its distance from that of the run which follows the exactly
+solved loop most closely: most ships sail the same line to a millimetre, and zeros pack to nothing.
 """
 
 from __future__ import annotations

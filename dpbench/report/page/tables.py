@@ -12,60 +12,29 @@ from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.data import PageData, number
 
-GROUPS: dict[str, tuple[str, ...]] = {
+GROUPS: dict[str, str] = {
     "times": (
-        "algo_p50_ns",
-        "algo_p99_ns",
-        "algo_max_ns",
-        "raw_p50_ns",
-        "raw_p99_ns",
-        "raw_max_ns",
-        "raw_samples",
-        "rounds",
-        "disturbed_rounds",
+        "algo_p50_ns algo_p99_ns algo_max_ns raw_p50_ns raw_p99_ns raw_max_ns raw_samples "
+        "rounds disturbed_rounds"
     ),
     "accuracy": (
-        "error_move_max",
-        "error_plan_max",
-        "failed_steps",
-        "claimed_not_true",
-        "true_share",
-        "iterations_p50",
-        "iterations_max",
+        "error_move_max error_plan_max failed_steps claimed_not_true true_share "
+        "iterations_p50 iterations_max"
     ),
     "control": (
-        "r_rms_m",
-        "r_max_m",
-        "settle_s",
-        "dev_position_max_m",
-        "total_variation",
-        "closed_loop_cost",
-        "exact_cost",
+        "r_rms_m r_max_m settle_s dev_position_max_m total_variation closed_loop_cost exact_cost"
     ),
     "deadline": (
-        "slowdown",
-        "deadline_misses",
-        "longest_miss_streak",
-        "latency_p50_ns",
-        "latency_max_ns",
-        "fallbacks",
-        "recover_steps_max",
-        "backup_acted",
-        "backup_failures",
-        "backup_max_ns",
+        "slowdown deadline_misses longest_miss_streak latency_p50_ns latency_max_ns fallbacks "
+        "recover_steps_max backup_acted backup_failures backup_max_ns"
     ),
     "memory": (
-        "peak_rss_bytes",
-        "python_peak_bytes_per_step",
-        "heap_growth_bytes_per_step",
-        "os_threads",
-        "bit_identical_share",
-        "voluntary_switches",
-        "involuntary_switches",
+        "peak_rss_bytes python_peak_bytes_per_step heap_growth_bytes_per_step os_threads "
+        "bit_identical_share voluntary_switches involuntary_switches"
     ),
-    "run": ("solver_version", "build", "units", "formulation", "n", "m", "steps_done", "run_id"),
+    "run": "solver_version build units formulation n m steps_done run_id",
 }
-"""What is shown a group at a time; the whole table is a file."""
+"""Columns that are shown a group at a time; the whole table is a file."""
 TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
@@ -99,7 +68,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     ]
     values: list[list[Any]] = [list(map(str, column)) for column in always.values()]
     for group, names in GROUPS.items():
-        for name in names:
+        for name in names.split():
             kind, meaning = RUN_COLUMNS[name]
             text = kind == "str"
             cells = [str(x) for x in runs[name]] if text else [number(x) for x in runs[name]]

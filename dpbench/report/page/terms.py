@@ -15,24 +15,14 @@ from dpbench.report.formats import share_text
 from dpbench.report.glossary import meanings, topics
 from dpbench.report.page.data import PageData
 
+_OWN_PHRASES = (
+    "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
+    "disturbed, exactly solved loop, failed step, fallback, fresh, interval, jitter, "
+    "native, paired ratio, qpsolvers, radial error, rate limit, rate-limit step, "
+    "referee, region of attraction, replay, reuse, round, settings, warm, call mode"
+)
 PHRASES = {
-    **{
-        name: name
-        for name in (
-            *("active limits", "certified optimum", "claimed", "closed loop", "deadline"),
-            *(
-                "requirements",
-                "disturbed",
-                "exactly solved loop",
-                "failed step",
-                "fallback",
-                "fresh",
-            ),
-            *("interval", "jitter", "native", "paired ratio", "qpsolvers", "radial error"),
-            *("rate limit", "rate-limit step", "referee", "region of attraction", "replay"),
-            *("reuse", "round", "settings", "warm", "call mode"),
-        )
-    },
+    **{name: name for name in _OWN_PHRASES.split(", ")},
     "exactly solved": "exactly solved loop",
     "first move": "error_move",
     "largest single timing": "raw time",
@@ -46,14 +36,13 @@ _FOUND = re.compile(
     re.IGNORECASE,
 )
 
-_OF_HEADS = {
-    term
-    for title in (
-        *("Solvers and how they are run", "Studies", "Thrusters steered"),
-        "The paper reproduced",
-    )
-    for term in topics()[title]
-}
+_HEAD_TOPICS = (
+    "Solvers and how they are run",
+    "Studies",
+    "Thrusters steered",
+    "The paper reproduced",
+)
+_OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
 """Elsewhere in the glossary a head may stand for another thing: *error* for a status."""
 
 

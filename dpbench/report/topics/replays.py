@@ -1,4 +1,4 @@
-"""What replays of the same QPs tell apart: routes, formulations, settings, two solvers."""
+"""Topics on replays: routes, formulations, settings, two solvers, the step of a search."""
 
 from __future__ import annotations
 
