@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
+from markupsafe import escape
 from rich.console import Console
 
 from dpbench.analysis.compare.answers import DONE, Answer
@@ -29,6 +30,7 @@ from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.comparison import answers_table, solvers_table, times_table
 from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
 from dpbench.report.topics.consequence import row_of
@@ -150,7 +152,6 @@ def test_every_head_of_a_consequence_analysis_is_explained() -> None:
 @pytest.mark.slow
 def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
     topic = study_topic(studies(of_seas(records).view()))
-    assert topic is not None
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
     assert {*heads, *thruster_row("", [], {}, Requirements())} <= _spoken()
@@ -168,3 +169,42 @@ def test_a_term_is_explained_once_and_in_a_sentence() -> None:
 
 def test_the_page_of_the_documentation_is_the_glossary() -> None:
     assert DOCS.read_text(encoding="utf-8") == as_markdown()
+
+
+def test_a_term_is_linked_where_a_section_names_it_first() -> None:
+    terms = Terms([])
+    said = terms("Replays of a<b: the requirements, the replay and requirements.")
+    assert said.count("<a ") == 2 and "a&lt;b" in said
+    assert said.startswith('<a class="term" href="#word-replay"')
+    assert f'title="{escape(meanings()["replay"])}">Replays</a>' in said
+    assert "<a " not in terms("The requirements again.")
+    terms.section()
+    assert "<a " in terms("The requirements in a new section.")
+    assert [word.term for word in terms.words] == ["replay", "requirements"]
+
+
+def test_the_longest_phrase_is_the_term() -> None:
+    said = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
+    assert re.findall(r"#word-([\w-]+)", said) == ["rate-limit-step", "paired-ratio"]
+
+
+def test_heads_are_terms_without_their_unit() -> None:
+    terms = Terms([])
+    assert ">behind [cm]</a>" in terms.head("behind [cm]")
+    assert terms.head("<b>") == "&lt;b&gt;"
+
+
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_every_phrase_stands_for_a_term_of_the_glossary(phrase: str) -> None:
+    terms = Terms([])
+    assert f">{phrase}</a>" in terms(f"a {phrase} there")
+    assert [word.term for word in terms.words] == [PHRASES[phrase]]
+    assert PHRASES[phrase] in meanings()
+
+
+def test_every_link_of_the_page_leads_to_its_meaning(written: Any) -> None:
+    links = re.findall(r'class="term" href="#([\w-]+)" title="([^"]*)"', written.html)
+    listed = re.findall(r'<dt id="([\w-]+)">[^<]*</dt><dd>(.*?)</dd>', written.html)
+    assert len(links) > 15
+    assert set(links) <= {(word, meaning.replace('"', "&#34;")) for word, meaning in listed}
+    assert len(listed) == len({word for word, _ in listed})

@@ -74,9 +74,7 @@ def test_without_the_papers_loops_nothing_is_claimed(records: Any, tmp_path: Pat
     assert not list(tmp_path.glob("figure*")) and not list(tmp_path.glob("claims*"))
 
 
-def test_a_folder_of_other_things_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_other_things_is_refused(tmp_path: Path, capsys: Any) -> None:
     """Exit code 2 and one line, before anything runs."""
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "letter.txt").write_text("keep me")
@@ -86,9 +84,7 @@ def test_a_folder_of_other_things_is_refused(
 
 
 @pytest.mark.slow
-def test_the_paper_is_reproduced_from_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_paper_is_reproduced_from_nothing(tmp_path: Path, capsys: Any) -> None:
     assert main(["paper", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
     lines = said.out.splitlines()

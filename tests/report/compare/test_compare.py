@@ -177,12 +177,7 @@ HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_sw
     ],
 )
 def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
-    make: Make,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    before: Any,
-    after: Any,
-    reason: str,
+    make: Make, tmp_path: Path, capsys: Any, before: Any, after: Any, reason: str
 ) -> None:
     """1.496 in all configurations and 1.025 in the kernel; exit code 0."""
     a = make("a", seed=1, **before)
@@ -337,9 +332,7 @@ def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
 
 
 @pytest.mark.slow
-def test_two_machines_are_compared_by_ratios_to_a_reference(
-    make: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_machines_are_compared_by_ratios_to_a_reference(make: Make, capsys: Any) -> None:
     """B's machine takes 3 times as long, and its osqp 6 times as long again: only that is said."""
     a = make("a", seed=1)
     b = make("b", seed=2, machine_id="two", machine=3.0, slow={"osqp": 6.0})
@@ -357,9 +350,7 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(
     assert not found.shared
 
 
-def test_another_reference_and_one_that_was_not_run(
-    make: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_reference_and_one_that_was_not_run(make: Make, capsys: Any) -> None:
     """With osqp as the measure all others take a sixth; a name of nobody is one line, exit 2."""
     a = make("a", seed=1)
     b = make("b", seed=2, slow={"osqp": 6.0})
@@ -394,7 +385,7 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
 
 
 @pytest.mark.parametrize("option", ["--margin 0", "--margin nan", "--alpha 0.7", "--alpha much"])
-def test_bad_options(make: Make, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_options(make: Make, option: str, capsys: Any) -> None:
     """One line with option and value, exit 2."""
     a = make("a", seed=1)
     try:
@@ -428,9 +419,7 @@ def test_cells_without_a_partner_are_named(make: Make) -> None:
 
 
 @pytest.mark.slow
-def test_exit_codes_and_markdown(
-    make: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_exit_codes_and_markdown(make: Make, tmp_path: Path, capsys: Any) -> None:
     """0 where nothing is worse, 1 where something is; Markdown to a file or to the screen."""
     a, b = make("a", seed=1), make("b", seed=2, slow={"daqp": 1.4})
     page = tmp_path / "compare.md"

@@ -107,9 +107,7 @@ def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_folder_is_none_to_compare(
-    make: Make, capsys: pytest.CaptureFixture[str], count: int
-) -> None:
+def test_one_folder_is_none_to_compare(make: Make, capsys: Any, count: int) -> None:
     folder = str(make("a", OLD, {"daqp": 10.0}))
     assert main(["compare", *[folder] * count, "--releases"]) == 2
     assert "two or more result folders, each once" in capsys.readouterr().err

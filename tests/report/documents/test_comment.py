@@ -51,7 +51,7 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_it_and_the_step_can_be_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     """Run, report, export: the third command is the one the second prints."""
     monkeypatch.chdir(tmp_path)

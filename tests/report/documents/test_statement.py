@@ -36,9 +36,7 @@ def _texts(svg: str) -> list[ElementTree.Element]:
 
 
 @pytest.mark.slow
-def test_pdf_and_svg_are_written(
-    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pdf_and_svg_are_written(records: Any, tmp_path: Path, capsys: Any) -> None:
     out = _good(records, tmp_path)
     for kind in ("pdf", "svg"):
         assert main(["report", str(out), "--statement", str(tmp_path / f"a.{kind}")]) == 0
@@ -55,7 +53,7 @@ def test_pdf_and_svg_are_written(
     ["loop", *(pytest.param(part, marks=pytest.mark.slow) for part in ("replay", "right", "all"))],
 )
 def test_nothing_to_recommend_is_nothing_to_state(
-    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], missing: str
+    records: Any, tmp_path: Path, capsys: Any, missing: str
 ) -> None:
     """One line, exit code 2 and no file: what is open or missed cannot be handed over."""
     if missing not in ("loop", "all"):

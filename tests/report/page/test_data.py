@@ -1,4 +1,4 @@
-"""What the page knows: experiments, states and cells, against the verdicts they come from."""
+"""Data of the page: experiments, verdicts, cells and studies, against their records."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pytest
 from dpbench.analysis.times.solver_tables import tile_table
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
+from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import drawn_tiles
 from dpbench.report.page.terms import experiment_words
+from dpbench.report.report import Report
+from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
 REQUIREMENTS = Requirements()
 
@@ -149,9 +152,7 @@ def _of_window(records: Any) -> str:
     return json.dumps({"scenario": records.scenario("rough").files, "first": 900})
 
 
-def test_of_many_experiments_those_that_miss_most_are_drawn(
-    records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkeypatch: Any) -> None:
     for i, scenario in enumerate(("calm", "rough", "paper", "turn")):
         for solver in ("daqp", "osqp"):
             wrong = solver == "osqp" and i in (1, 3)
@@ -169,3 +170,62 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(
     assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
     records.loop("osqp", units="si", error=0.5)
     assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers fail there: scale the QP.")
+
+
+@pytest.mark.slow
+def test_every_sea_has_its_errors(records: Any) -> None:
+    """Those of its run: how far off, whether held, and how far behind the reference there."""
+    made = of_seas(records)
+    facts = Report.of(made.results()).data
+    (study,) = facts.study_documents
+    runs = made.results().runs.set_index("run_id")
+    own = study["runs"]
+    assert sorted(own["id"]) == sorted(runs.index)
+    assert study["names"][study["reference"]] == "daqp"
+    for i, run_id in enumerate(own["id"]):
+        run = runs.loc[run_id]
+        same = (runs["study_point"] == own["point"][i]) & (runs["replicate"] == own["sea"][i])
+        (reference,) = runs[same & (runs["solver"] == "daqp")]["r_95_m"]
+        assert own["tail_m"][i] == pytest.approx(run["r_tail_max_m"], rel=1e-3)
+        assert own["behind_cm"][i] == pytest.approx(100 * (run["r_95_m"] - reference), abs=1e-3)
+        assert own["held"][i] == (run["r_tail_max_m"] <= 1.0)
+        configuration = facts.configurations[study["c"][own["of"][i]]]
+        assert (configuration.solver, configuration.settings) == (run["solver"], run["settings"])
+
+
+@pytest.mark.slow
+def test_it_opens_where_least_is_held(records: Any) -> None:
+    facts = Report.of(of_seas(records).results()).data
+    c, p = facts.opening
+    experiment = facts.experiments[p]
+    assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
+    assert experiment.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and experiment.replicate == 2
+    assert experiment.label == f"seas: point {experiment.point}, sea {experiment.replicate}"
+    assert facts.runs[c, p].r_tail_max_m == 1.5
+
+
+@pytest.mark.slow
+def test_seas_enter_no_verdict(records: Any) -> None:
+    made = of_seas(records)
+    made.loop("daqp", "calm", steps=40)
+    made.replay("daqp", "calm")
+    report = Report.of(made.results())
+    assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
+        "calm",
+        "calm (replay)",
+    ]
+    assert report.data.opening is None
+    assert not any("sea" in chip.text for chip in report.recommendation.chips)
+    assert set(report.tables["experiments"]["experiment"]) == {"calm", "calm (replay)"}
+    assert set(report.tables["experiments"]["settings"]) == {"default"}
+
+
+@pytest.mark.slow
+def test_a_page_keeps_the_first_seas_of_all_points(records: Any, monkeypatch: Any) -> None:
+    room = 3 * len(HEIGHTS) * len(OFFSETS)
+    monkeypatch.setattr(page_data, "MOST_LOOPS", room)
+    facts = Report.of(of_seas(records).results()).data
+    assert len(facts.runs) == room
+    assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS

@@ -40,11 +40,10 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     requirements = Requirements.of(written.results.suite)
     verdicts = verdicts_of(Records(written.results), requirements)
     chosen = choose_solver(verdicts).chosen
-    assert chosen is not None and chosen.configuration.solver == "daqp"
+    assert chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
     terminal = "\n".join(said for _, said in written.lines)
     margin = written.report.data.margin(chosen.configuration)
-    assert margin is not None
     for said in (page, text, terminal):
         assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
         assert f"p99 {time_text(chosen.p99_ns)}" in said
@@ -164,7 +163,6 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median_us)
     answer = _answer(records)
-    assert answer.first is not None and answer.second is not None
     assert (answer.first.solver, answer.second.solver) == ("daqp", "hildreth")
     assert "is not the answer: own code of this benchmark" in dict(answer.notes)["faster"]
 
@@ -276,9 +274,7 @@ def test_the_baseline_is_beside_the_answer(records: Any) -> None:
         _answer(records, "nope")
 
 
-def test_an_unknown_baseline_writes_nothing(
-    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_baseline_writes_nothing(records: Any, tmp_path: Path, capsys: Any) -> None:
     """One line and exit code 2."""
     records.loop("daqp")
     out = records.write(tmp_path / "out")

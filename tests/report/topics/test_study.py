@@ -6,7 +6,6 @@ import json
 from typing import Any
 
 import numpy as np
-import pytest
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import studies
@@ -53,9 +52,7 @@ def test_a_small_study_is_drawn_whole(records: Any) -> None:
     assert len(_drawn(behind, "behind_cm")) == 20 and "at even ranks" not in behind.caption
 
 
-def test_of_a_large_study_some_seas_are_drawn(
-    records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
     monkeypatch.setattr(study_pictures, "FIELDS", 3)

@@ -1,13 +1,17 @@
-"""What the report says of the paper follows the rows."""
+"""The paper: claims, choices and stability follow the records."""
+
+from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.bench.design import Bracket, DesignRecord, Designs, MissingDesign
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.paper import choices, claims, paper_topic
@@ -159,7 +163,6 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
         files["scenario"]["title"] = "Another title"
 
     topic = paper_topic(Records(_called_paper(records, change)))
-    assert topic is not None
     assert [figure.name for figure in topic.figures] == [
         "paper-path",
         "paper-errors",
@@ -171,7 +174,6 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
 def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
     _pair(records)
     topic = paper_topic(records.view())
-    assert topic is not None
     states = list(_states(records).values())
     measured = [state for state in states if state != "not measured"]
     held = measured.count("reproduced")
@@ -181,3 +183,43 @@ def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
         assert (claim.replace("`", "") in topic.lines[0]) == (
             state in ("not reproduced", "opposite")
         )
+
+
+PAPER = DesignRecord(
+    vessel="tug",
+    controller="paper",
+    tuning="paper",
+    N_p=30,
+    N_c=5,
+    eigenvalues=((0.9, 0.1), (0.9, -0.1), (0.5, 0.0)),
+    held={"still water": Bracket(1.0, 1.046875), "calm": Bracket(0.5, 0.515625)},
+)
+ROBUST = replace(
+    PAPER,
+    controller="rough",
+    tuning="robust",
+    N_p=60,
+    N_c=10,
+    eigenvalues=((1.02, 0.0),),
+    held={"still water": Bracket(64.0, None), "calm": Bracket(0.0, 0.25)},
+)
+MISSING = MissingDesign("tug", "turn", "killed by SIGKILL")
+
+
+def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
+    """The rows of the table on stability; none where there is no such table."""
+    records.loop("daqp", steps=1000)
+    topic = paper_topic(records.view(), designs)
+    return [row for table in topic.tables if "Stability" in table.title for row in table.rows]
+
+
+def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
+    none = replace(PAPER, held={})
+    paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
+    assert paper == ("paper 30/5 in tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
+    assert robust == ("robust 60/10 in tug", "1.0200", "≥ 64", "< 0.250")
+    assert unknown[2:] == ("–", "–")
+
+
+def test_without_designs_there_is_no_such_table(records: Any) -> None:
+    assert _rows(None, records) == []
