@@ -52,6 +52,9 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     assert sorted(path.name for path in sent.iterdir()) == sorted(SENT)
     page = (sent / "report.html").read_text("utf-8")
     assert "<script" not in page and "steps.parquet" not in page and "<svg" in page
+    for name in ("one", "two"):
+        assert f'id="{name}"' not in page and f'href="#{name}"' not in page, "a script fills it"
+    assert "figures/" not in page and "tables/runs.csv" not in page
     assert sum(path.stat().st_size for path in sent.iterdir()) < MOST_BYTES / 2
     assert main(["check", str(sent)]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -123,6 +126,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         *((_gone(name), (name, "o such file")) for name in SENT),
         (_written("runs.parquet", "PAR1"), ("runs.parquet", "a damaged file")),
         (_written("suite.json", "{"), ("suite.json", "no JSON")),
+        (_written("report.html", " " * MOST_BYTES), (f"at most {MOST_BYTES} in all",)),
         (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
         (_written(SENDER, ""), (SENDER, "who", "this key is required")),
         (_written(SENDER, SIGNED.replace("Ada", " ")), (SENDER, "who: found ' '")),
@@ -174,23 +178,9 @@ def test_a_page_that_runs_or_loads_something_is_refused(
     assert f"report.html: line {line}: found" in said and found in said, said
 
 
-def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
-    with (copy / "report.html").open("a", encoding="utf-8") as page:
-        page.write(" " * MOST_BYTES)
-    assert main(["check", str(copy)]) == 2
-    assert f"at most {MOST_BYTES} in all" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)
 def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
     assert check_sent(folder).startswith(str(folder))
-
-
-def test_the_page_that_is_sent_has_no_dead_link(sent: Path) -> None:
-    page = (sent / "report.html").read_text("utf-8")
-    for name in ("one", "two"):
-        assert f'id="{name}"' not in page and f'href="#{name}"' not in page
-    assert "figures/" not in page and "tables/runs.csv" not in page
 
 
 UTF_8 = '<meta charset="utf-8">'
