@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.analysis.times.solver_tables import tile_table
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
+from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_of, number
@@ -25,66 +25,6 @@ REQUIREMENTS = Requirements()
 def _facts(records: Any) -> PageData:
     view = records.view()
     return PageData.of(view, verdicts_of(view, REQUIREMENTS))
-
-
-def _state(facts: PageData, solver: str, experiment: str) -> str:
-    (c,) = (i for i, one in enumerate(facts.configurations) if one.solver == solver)
-    (p,) = (i for i, one in enumerate(facts.experiments) if one.label == experiment)
-    return facts.state(c, p)
-
-
-def test_experiments_come_scenarios_first_and_si_last(records: Any) -> None:
-    records.replay("daqp", "calm", steps=20)
-    records.loop("daqp", "rough", units="si")
-    records.loop("daqp", "calm")
-    records.loop("daqp", "paper")
-    facts = _facts(records)
-    assert [experiment.label for experiment in facts.experiments] == [
-        "calm",
-        "paper",
-        "rough (in N and N·m)",
-        "calm (replay)",
-    ]
-    assert [configuration.solver for configuration in facts.configurations] == ["daqp"]
-
-
-def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None:
-    records.loop("daqp")
-    records.loop("osqp", error=0.4)
-    records.loop("scs", outcome="timed_out", done=20)
-    records.refused("qpax", "not installed", steps_planned=120)
-    records.replay("daqp", median_us=4000.0)
-    facts = _facts(records)
-    states = {s: _state(facts, s, "paper") for s in ("daqp", "osqp", "scs", "qpax")}
-    assert states == {"daqp": "pass", "osqp": "fail", "scs": "inconclusive", "qpax": "not run"}
-    assert _state(facts, "daqp", "paper (replay)") == "late", "its p99 is 4 ms"
-    assert _state(facts, "osqp", "paper (replay)") == "not run", "there is no such run"
-    for (c, p), run in facts.runs.items():
-        alone = verdict_of(facts.records, facts.configurations[c], [run], [], REQUIREMENTS)
-        assert (facts.state(c, p) in ("late", "fail")) == bool(alone.causes)
-        assert (facts.state(c, p) == "not run") == (alone.state == "not run")
-
-
-def test_si_units_are_a_experiment_and_no_configuration(records: Any) -> None:
-    records.loop("daqp")
-    records.loop("daqp", units="si", error=0.3)
-    facts = _facts(records)
-    assert len(facts.configurations) == 1
-    assert _state(facts, "daqp", "paper") == "pass"
-    assert _state(facts, "daqp", "paper (in N and N·m)") == "fail"
-
-
-def test_of_two_runs_in_one_experiment_the_longer_counts(records: Any) -> None:
-    for lengths in ((40, 120), (120, 40)):
-        for steps in lengths:
-            records.loop("daqp", "paper" if lengths[0] == 40 else "calm", steps=steps)
-    assert {run.steps_planned for run in _facts(records).runs.values()} == {120}
-
-
-def test_the_baseline_law_is_no_configuration(records: Any) -> None:
-    records.loop("daqp")
-    records.loop("unconstrained_clipped", formulation="none", error=1.0)
-    assert [c.solver for c in _facts(records).configurations] == ["daqp"]
 
 
 def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
