@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -98,14 +98,10 @@ class Report:
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if verdicts.of:
             rows.append(("solvers", f"{counted(verdicts)}."))
-        return [*rows, *self._machine_rows()]
-
-    def _machine_rows(self) -> Iterator[tuple[str, str]]:
         records = self.data.records
         disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:
-            yield "machine", f"{verdict_text(disturbance)}."
+            rows.append(("machine", f"{verdict_text(disturbance)}."))
         if medians := calibration_medians(records.calibration):
-            yield "harness", f"{calibration_text(medians)}."
-        if not can_draw():
-            yield "figures", f"{NOT_DRAWN}."
+            rows.append(("harness", f"{calibration_text(medians)}."))
+        return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

@@ -90,7 +90,12 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )
-    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *_places(folder))
+    places = (
+        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
+        f"claims: {folder / 'claims.md'} and .csv",
+        f"runs: {folder / RUNS}; `dpbench report` makes their page",
+    )
+    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *places)
     return Reproduction(said, tuple(remarks), complete=lost == 0)
 
 
@@ -118,11 +123,3 @@ def _contradicted(judged: Sequence[Claim]) -> list[str]:
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
     return [unmarked(line) for line in named[:MOST_NAMED]] + unnamed
-
-
-def _places(folder: Path) -> list[str]:
-    return [
-        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
-        f"claims: {folder / 'claims.md'} and .csv",
-        f"runs: {folder / RUNS}; `dpbench report` makes their page",
-    ]

@@ -45,6 +45,11 @@ def requirements_text(requirements: Requirements) -> str:
     )
 
 
+_GROUPS = {"pass": "only otherwise"} | {
+    state: state for state in ("borderline", "late", "fail", "inconclusive", "not run")
+}
+
+
 def counted(verdicts: Verdicts) -> str:
     """Count the solvers by their best verdict: pass by default, pass otherwise, and the others."""
     if not verdicts.references:
@@ -63,16 +68,6 @@ def counted(verdicts: Verdicts) -> str:
     said = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
     said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
     return "; ".join(said)
-
-
-_GROUPS = {
-    "pass": "only otherwise",
-    "borderline": "borderline",
-    "late": "late",
-    "fail": "fail",
-    "inconclusive": "inconclusive",
-    "not run": "not run",
-}
 
 
 def deployment_facts(solver: str) -> str:

@@ -46,7 +46,18 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order="i:Q", color=colour)
     points = _points(closed, place)
-    web = [_rings(place), _spokes(place), *_ring_names(place, closed), _bearings(place)]
+    turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
+    rings = [{**_at(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS]
+    spokes = [{**_at(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
+    bearings = [{**_at(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
+    web = [
+        _web(rings, place).encode(detail="n:N", order="i:Q"),
+        _web(spokes, place).encode(detail="spoke:N"),
+        *_ring_names(place, closed),
+        alt.Chart(pd.DataFrame(bearings))
+        .mark_text(color=style.INK, fontSize=12)
+        .encode(**place, text="name:N"),
+    ]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
         "DP capability numbers."
@@ -100,20 +111,6 @@ def _closed(case: pd.DataFrame) -> pd.DataFrame:
     return ring.assign(**places, i=range(len(ring)))
 
 
-def _rings(place: Place) -> Any:
-    turn = np.linspace(0.0, 360.0, _RING_CORNERS)
-    order = range(len(turn))
-    rings = [{**_at(DP_CONDITIONS[n][0], turn), "i": order, "n": n} for n in _RINGS]
-    return _web(rings, place).encode(detail="n:N", order="i:Q")
-
-
-def _spokes(place: Place) -> Any:
-    ends = np.array([0.0, _OUTER])
-    return _web(
-        [{**_at(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG], place
-    ).encode(detail="spoke:N")
-
-
 def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
@@ -140,12 +137,6 @@ def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
     common = np.argmax((gaps > _CLEAR_MPS).sum(axis=1))
     own = np.where(gaps[common] > _CLEAR_MPS, common, np.argmax(gaps, axis=0))
     return _BETWEEN_DEG[own]
-
-
-def _bearings(place: Place) -> Any:
-    names = [{**_at(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
-    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=style.INK, fontSize=12)
-    return chart.encode(**place, text="name:N")
 
 
 ANSWERS = ("solver", "answer", "share", "qps")

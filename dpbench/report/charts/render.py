@@ -47,7 +47,7 @@ def vega(chart: Any) -> dict[str, Any]:
 
 def svg(chart: Any, *, titled: bool = True) -> str:
     """Return the figure as SVG with real text."""
-    return _drawn(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
+    return _svg_of(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
 
 
 PROBE = """
@@ -71,22 +71,23 @@ def can_draw() -> bool:
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
+_svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
+
+
 @lru_cache(maxsize=64)
 def _compiled(chart: _ChartKey) -> str:
     """Compile a chart to Vega, with labels that avoid each other, which Vega-Lite cannot state."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
-    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(_json(chart.chart)))
+    # The tests validate every figure against the grammar, which takes longer than drawing it.
+    with alt.data_transformers.enable("default", max_rows=None):
+        plain = chart.chart.to_dict(validate=False)
+    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(plain))
     specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
         marks.append(_names())
     return json.dumps(specification)
-
-
-@lru_cache(maxsize=64)
-def _drawn(specification: str) -> str:
-    return vlc.vega_to_svg(specification)
 
 
 def _names() -> dict[str, Any]:
@@ -131,13 +132,6 @@ def save(chart: Any, path: Path) -> Path:
     """Write the figure in the format that the name of the file ends with, as `encoded` does."""
     write_given(path, encoded(chart, path.suffix.lstrip(".")))
     return path
-
-
-def _json(chart: Any) -> dict[str, Any]:
-    # The tests validate every figure against the grammar, which takes longer than drawing it.
-    with alt.data_transformers.enable("default", max_rows=None):
-        specification: dict[str, Any] = chart.to_dict(validate=False)
-    return specification
 
 
 @cache

@@ -105,14 +105,10 @@ def _force(
     near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
     # Limits far off are said, as a figure without them looks as if there were none.
     far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
-    beside = _limits(near) if near else _note(far)
+    corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
+    note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
+    beside = _limits(near) if near else style.inline({}).properties(mark=note).encode(**corner)
     return alt.layer(_lines(table, laws, title, last="yaw" in title), beside)
-
-
-def _note(text: str) -> Any:
-    mark = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
-    place = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(text)}
-    return style.inline({}).properties(mark=mark).encode(**place)
 
 
 def _tables(laws: Sequence[Law], value: Any) -> pd.DataFrame:

@@ -85,12 +85,6 @@ def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
     return next((verdict for verdict in order if counts[verdict]), MISSING)
 
 
-ALL_OTHERS = (
-    "the median of that ratio over the other configurations of the sequence (below four of the "
-    "reference kernel, if both runs were quiet)"
-)
-
-
 def times_table(
     compared: Sequence[Compared],
     margin: float,
@@ -100,7 +94,12 @@ def times_table(
     reference: str = "",
 ) -> Table:
     """Return one row per configuration and sequence, claims first unless they are `ordered`."""
-    machine = f"that ratio of {reference}, the reference" if reference else ALL_OTHERS
+    machine = f"that ratio of {reference}, the reference"
+    if not reference:
+        machine = (
+            "the median of that ratio over the other configurations of the sequence (below four of "
+            "the reference kernel, if both runs were quiet)"
+        )
     rows = (
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
     )

@@ -38,6 +38,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     order = claims_first(comparison.compared)
     charts = _charts(order, comparison.margin)
     times = _times(order, comparison) if order else None
+    others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
     text = rendered(
         "compare",
         [own(f"scripts/{name}.js") for name in ("common", "compare")],
@@ -47,7 +48,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
         left_out=len(order) - len(furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
-        tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
+        tables=[replace(t, shown=MOST_ROWS) for t in others],
         block="" if times is None else _block(order, charts, times),
     )
     write_given(path, text.encode())
@@ -63,10 +64,6 @@ def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
         "both": both(table),
         "steps": pairs("A: step time", "B: step time"),
     }
-
-
-def _is_times(table: Table) -> bool:
-    return "B/A less machine" in table.heads
 
 
 def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
@@ -136,7 +133,14 @@ def lead(comparison: Comparison) -> list[str]:
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
-    return [unmarked(f"{_slower(comparison)} {_worse(comparison)}"), *together]
+    worse = [answer for answer in comparison.figures if answer.change == "worse"]
+    count = len(comparison.figures)
+    figures = f"No figure of accuracy or control of {count} is worse." if count else ""
+    if worse:
+        figures = (
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+        )
+    return [unmarked(f"{_slower(comparison)} {figures}"), *together]
 
 
 def said(one: Compared) -> str:
@@ -165,14 +169,6 @@ def _slower(comparison: Comparison) -> str:
         f"{interval_text(ratio.low, ratio.high)}, machine factor "
         f"{first.assessment.machine:.2f} taken out)."
     )
-
-
-def _worse(comparison: Comparison) -> str:
-    worse = [answer for answer in comparison.figures if answer.change == "worse"]
-    count = len(comparison.figures)
-    if not worse:
-        return f"No figure of accuracy or control of {count} is worse." if count else ""
-    return f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
 
 
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")

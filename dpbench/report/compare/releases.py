@@ -16,7 +16,6 @@ from dpbench.analysis.compare.releases import (
     FIGURES,
     Histories,
     History,
-    Release,
     histories,
     release_table,
 )
@@ -90,22 +89,16 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     }
     over = histories(records, reference)
     requirements = Requirements.of(next(iter(records.values())).suite)
-    return Releases(
-        over, _lead(over), _comparability_notes(over, records), _tables(over), requirements
-    )
+    changed = _changed(over)
+    lead = [_sentence(solver, own_histories) for solver, own_histories in changed.items()]
+    lead = lead or ["No solver has two versions in these folders."]
+    return Releases(over, lead, _comparability_notes(over, records), _tables(over), requirements)
 
 
 def _changed(histories: Histories) -> dict[str, list[History]]:
     """Return, by solver, the histories of those with several versions."""
     by_solver = grouped(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
-
-
-def _lead(histories: Histories) -> list[str]:
-    by_solver = _changed(histories)
-    if not by_solver:
-        return ["No solver has two versions in these folders."]
-    return [_sentence(solver, own_histories) for solver, own_histories in by_solver.items()]
 
 
 def _sentence(solver: str, own_histories: Sequence[History]) -> str:
@@ -198,7 +191,9 @@ def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
             "configuration": label,
             "problem": f"{run.problem}, {run.mode.replace('_', ' ')}",
             "version": release.version,
-            "folders": _folders(release, histories),
+            "folders": "all"
+            if len(release.runs) == histories.folders
+            else and_list(list(release.runs)),
             f"p50{unit}": _time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
@@ -211,10 +206,6 @@ def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
         }
         for i, release in enumerate(history.releases)
     ]
-
-
-def _folders(release: Release, histories: Histories) -> str:
-    return "all" if len(release.runs) == histories.folders else and_list(list(release.runs))
 
 
 def _count(value: float) -> str:

@@ -138,6 +138,8 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     worst = worst_steps(data.records, solver)
     own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
     names = and_list([v.configuration.solver for v in chosen]) or "nobody"
+    suite = report.results.suite
+    made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
         markdown_line(_sentence(data, best[solver])),
@@ -145,7 +147,7 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
         "\n".join(f"- {markdown_text(_paired(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export)}" for step in worst),
-        markdown_line(f"{requirements_text(data.requirements)} {_made_by(report)} {machine}"),
+        markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
     ]
     return cut(
         "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
@@ -207,8 +209,3 @@ def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
         for step in worst
         if not math.isnan(step.value)
     ]
-
-
-def _made_by(report: Report) -> str:
-    suite = report.results.suite
-    return f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."

@@ -55,7 +55,10 @@ def study_document(
         "reference": place.get(study.reference, 0),
         "keys": [str(key) for key in study.points],
         "points": [int(point) for point in study.points.index],
-        "values": [[_plain(x) for x in study.points[key]] for key in study.points],
+        "values": [
+            [None if isinstance(x, float) and not math.isfinite(x) else x for x in column.tolist()]
+            for _, column in study.points.items()
+        ],
         "names": names,
         "c": [number_of[name] for name in names],
         "means": [_mean(study, name) for name in names],
@@ -94,11 +97,6 @@ def _mean(study: Study, name: str) -> dict[str, Any]:
 def _short(values: Iterable[float]) -> list[float | None]:
     """Round to four digits, as the page prints; None for what is missing."""
     return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
-
-
-def _plain(value: Any) -> Any:
-    plain = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
 
 
 @dataclass(eq=False)

@@ -33,7 +33,11 @@ def page_document(
     verdicts = {v.configuration: v for v in data.verdicts.all}
     rows = [_configuration(data, recommendation, c, verdicts.get(c)) for c in data.configurations]
     document: dict[str, Any] = {
-        "solvers": {c.solver: _solver(c.solver) for c in data.configurations},
+        "solvers": {
+            name: {"family": family_of(name), "method": known.method if known else ""}
+            for name in dict.fromkeys(c.solver for c in data.configurations)
+            for known in [known_record(name)]
+        },
         "configurations": columns_of(rows),
         "experiments": _experiments(data, words),
         "cells": columns_of(cells),
@@ -146,8 +150,3 @@ def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -
         said["reference"] = [float(x) for x in scenario.reference]
         said["length_m"] = float(scenario.vessel.length_m)
     return said
-
-
-def _solver(name: str) -> dict[str, str]:
-    known = known_record(name)
-    return {"family": family_of(name), "method": known.method if known else ""}

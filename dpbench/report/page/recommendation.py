@@ -106,7 +106,8 @@ def build_recommendation(
         chips=tuple(_chips(data, first)),
         snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
-        machine=_machine(machine),
+        machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
+        f"cores, {machine.get('python', '')}. Times hold for it alone.",
         first=first,
         second=second,
     )
@@ -273,10 +274,3 @@ def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     lines = [f"settings.{key} = {value!r};" for key, value in numbers.items()]
     start = f"{names.struct} settings;\n{names.defaults}(&settings);"
     yield "C", "\n".join([start, *lines])
-
-
-def _machine(machine: Mapping[str, Any]) -> str:
-    return (
-        f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores, "
-        f"{machine.get('python', '')}. Times hold for it alone."
-    )

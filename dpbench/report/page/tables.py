@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, records_of
+from dpbench.analysis.records.run_record import records_of
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.data import PageData, number
@@ -59,9 +59,12 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": map(_where, records_of(runs)),
+        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in records_of(runs)],
         "outcome": runs["outcome"],
-        "verdict": [_verdict_alone(data, key) for key in keys],
+        "verdict": [
+            "" if key is None or data.experiments[key[1]].study else data.state(*key)
+            for key in keys
+        ],
     }
     columns: list[dict[str, Any]] = [
         {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
@@ -84,14 +87,6 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "c": [None if key is None else key[0] for key in keys],
         "p": [None if key is None else key[1] for key in keys],
     }
-
-
-def _verdict_alone(data: PageData, key: tuple[int, int] | None) -> str:
-    return "" if key is None or data.experiments[key[1]].study else data.state(*key)
-
-
-def _where(run: RunRecord) -> str:
-    return replace(Experiment.of(run), slowdown=0.0).label
 
 
 def _shown(name: str) -> dict[str, Any]:

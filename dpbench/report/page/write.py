@@ -83,6 +83,8 @@ def page_html(
     lead = next((topic for topic in topics if topic.leads), None)
     *above, last = (section for section in shown if not section.in_topic)
     experiments = experiment_words(data)
+    numpy = results.machine.get("versions", {}).get("numpy", "")
+    started = results.suite.get("started_utc", "")[:10]
     block = ""
     if not light:
         document = page_document(data, results, recommendation, experiments)
@@ -113,7 +115,7 @@ def page_html(
         cite=software_citation(results),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
-        footer=_footer(results),
+        footer=f"{made_by(results.suite)}, run {started}; numpy {numpy}.",
         block=block,
     )
 
@@ -153,12 +155,6 @@ def software_citation(results: Results) -> str:
   year = {{{results.suite.get("started_utc", "")[:4]}}},
   howpublished = {{{", ".join(filter(None, (version, revision_text(results.suite))))}}},
 }}"""
-
-
-def _footer(results: Results) -> str:
-    numpy = results.machine.get("versions", {}).get("numpy", "")
-    started = results.suite.get("started_utc", "")[:10]
-    return f"{made_by(results.suite)}, run {started}; numpy {numpy}."
 
 
 def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,8 +32,9 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     lead = f"Nobody is right on every step of {asked}; {best} is in {whole[best]}."
     if right:
         rest = len(by_name) - len(right)
+        names = and_list(right) if len(right) <= 4 else f"{len(right)} configurations"
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
-        lead = f"Right on every step of {asked}: {_named(right)}.{others if rest else ''}"
+        lead = f"Right on every step of {asked}: {names}.{others if rest else ''}"
     rows = [
         {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"} | _control(runs)
         for name, runs in by_name.items()
@@ -41,10 +42,6 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     rows.sort(key=lambda row: -whole[row["configuration"]])
     note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
     return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
-
-
-def _named(names: Sequence[str]) -> str:
-    return and_list(list(names)) if len(names) <= 4 else f"{len(names)} configurations"
 
 
 def _control(runs: Sequence[RunRecord]) -> dict[str, str]:

@@ -39,10 +39,15 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
+    others = {"not": "not reproduced", "the opposite": "opposite"}
+    said = [held_text(measured)]
+    for word, state in others.items():
+        names = [unmarked(claim.claim) for claim in measured if claim.state == state]
+        said += [f"{word}: “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",
-        lines=(_headline(measured),),
+        lines=("; ".join(said) + ".",),
         paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
@@ -61,16 +66,6 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             *([_stability(designs)] if designs is not None else ()),
         ),
     )
-
-
-def _headline(measured: Sequence[Claim]) -> str:
-    others = {"not": "not reproduced", "the opposite": "opposite"}
-    named = {
-        word: [unmarked(claim.claim) for claim in measured if claim.state == state]
-        for word, state in others.items()
-    }
-    said = [f"{word}: “{'”, “'.join(names)}”" for word, names in named.items() if names]
-    return "; ".join([held_text(measured), *said]) + "."
 
 
 def held_text(judged: Sequence[Claim]) -> str:

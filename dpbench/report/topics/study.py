@@ -69,7 +69,7 @@ def _separated(study: Study) -> str:
     """Name the configurations with a significantly larger error than the reference."""
     others = study.configurations[1:]
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean(c))
-    said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
+    said = [f"{c.name} by {significant(100.0 * _mean(c), 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"none is significantly behind {study.reference} in the same realisation."
@@ -184,7 +184,3 @@ def _percent(share: float) -> str:
 
 def _mean(configuration: StudiedConfiguration) -> float:
     return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value
-
-
-def _cm(metres: float) -> str:
-    return significant(100.0 * metres, 2)

@@ -73,18 +73,13 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
             continue
         longest = max(largest.values(), key=moves_of)
         who = [name for name, horizons in largest.items() if horizons == longest]
+        some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
         said.append(
-            f"In {sweep.name} {_some(who)} {'fits' if len(who) == 1 else 'fit'} "
+            f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
             f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
         )
     return said
-
-
-def _some(names: list[str]) -> str:
-    """List up to three names, and how many more."""
-    rest = len(names) - 3
-    return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
 
 
 def _by(sweep: Sweep) -> str:

@@ -139,14 +139,9 @@ def _use(chosen: Verdict | None, requirements: Requirements) -> str:
     if chosen.state != "pass":
         label = chosen.configuration.label
         return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
-    return (
-        f"To steer thrusters take {_label(chosen)}: its largest step takes {share} of the sample."
-    )
-
-
-def _label(verdict: Verdict) -> str:
-    c = verdict.configuration
-    return f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    c = chosen.configuration
+    label = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
 
 
 def _others(steering: Steering) -> str:
