@@ -53,9 +53,7 @@ def tables_of(
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """Write tables with rows and their legend into `folder`; remove those of earlier reports.
 
-    Raises
-    ------
-    InputError : the folder is a link.
+    Raises InputError where the folder is a link.
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}

@@ -55,8 +55,6 @@ class Report:
     ) -> Report:
         """Build the report on some results; write nothing.
 
-        Parameters
-        ----------
         designs, capability : as of `topics_of`; baseline : as of `write_report`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)

@@ -31,8 +31,6 @@ _CLEAR_MPS = 1.8
 def rose(table: pd.DataFrame, title: str) -> Any:
     """Draw the largest wind held by direction: ahead is up, a line a case, rings are DP numbers.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
     """
@@ -153,8 +151,6 @@ _LOOKS = {
 def answers(table: pd.DataFrame, title: str) -> Any:
     """Draw, for each solver, the shares of the QPs at the edge by kind of answer.
 
-    Parameters
-    ----------
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
     there = table[table["qps"] > 0]
@@ -182,8 +178,6 @@ _NAMED = 0.45
 def spans(table: pd.DataFrame, title: str) -> Any:
     """Draw a bar over time for each group, coloured and named by state.
 
-    Parameters
-    ----------
     table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
     """
     first, last = table["from_s"].min(), table["to_s"].max()
@@ -219,8 +213,6 @@ _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
 def shares(table: pd.DataFrame, title: str) -> Any:
     """Draw the largest share of the sample that the QPs of one sample take, a mark each.
 
-    Parameters
-    ----------
     table : columns name, percent and right, in the order of the marks.
     """
     table = table.assign(answers=table["right"].map({True: _RIGHT, False: _NOT_RIGHT}))

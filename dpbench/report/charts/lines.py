@@ -22,8 +22,6 @@ def lines(
 ) -> Any:
     """Draw lines with points on logarithmic axes; a point that is not `good` is hollow.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`, x and y positive.
     x, y : title and format of each axis; limit : drawn across.
     """
@@ -52,8 +50,6 @@ def lines(
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     """Draw measured against requested values, with the line on which both are equal.
 
-    Parameters
-    ----------
     table : columns name, x and y, all positive.
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
@@ -69,12 +65,7 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Draw counts as tiles with the number in each; zero is pale.
-
-    Parameters
-    ----------
-    table : columns x, y, count.
-    """
+    """Draw counts as tiles with the number in each; zero is pale; table : columns x, y, count."""
     columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
     above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(

@@ -39,8 +39,6 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
     `usermeta` has `tall`.
 
-    Parameters
-    ----------
     table : columns `TILE_COLUMNS`, solvers and experiments in their order.
     """
     solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
@@ -120,8 +118,6 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
-    Parameters
-    ----------
     table : columns `POINT_COLUMNS`, errors finite; error_limit : drawn as a line.
     """
     table = table.assign(
@@ -206,8 +202,6 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
 
-    Parameters
-    ----------
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
     p99_ms : limit of the requirements.
     """

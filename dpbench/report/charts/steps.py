@@ -19,8 +19,6 @@ _WIDTH = 620
 def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
     """Draw the steps of a run as strips over k; the parameter `at` marks a step.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
     error_limit : limit on the error of the first move.
@@ -105,8 +103,6 @@ def pairs(first: str, second: str) -> Any:
 
     The page fills the data set `pairs`: k, a_us, b_us, sequence.
 
-    Parameters
-    ----------
     first, second : titles of the axes.
     """
     data = style.inline(name="pairs")

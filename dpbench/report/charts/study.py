@@ -22,8 +22,6 @@ _CHOSEN = "datum.chosen"
 def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
     """Draw the share of seas held over two keys, a map a configuration.
 
-    Parameters
-    ----------
     table : columns configuration, x, y, held and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
     """
@@ -66,8 +64,6 @@ def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
 def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
     """Draw the excess error of each configuration: a dot a sea, the mean and its interval.
 
-    Parameters
-    ----------
     table : name and `mean_cm`, in the order of the rows; seas : name, behind_cm, point, replicate.
     small_cm : half the width of the band of small differences.
     """

@@ -67,8 +67,6 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 def row_names(limit: int = 260, **options: Any) -> alt.Axis:
     """Return an axis with names beside the figure, or above each row where it is `narrow`.
 
-    Parameters
-    ----------
     limit : of their length beside the figure [px].
     """
 

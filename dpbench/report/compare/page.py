@@ -189,8 +189,6 @@ _TIPS = [
 def ratios(table: pd.DataFrame, margin: float) -> Any:
     """Draw B over A less the machine factor, with its interval; dotted: no difference.
 
-    Parameters
-    ----------
     table : of `ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(

@@ -252,8 +252,6 @@ def write_releases(path: Path, releases: Releases) -> Path:
 def release_times(table: pd.DataFrame, unit: str) -> Any:
     """Draw p50, p99 and largest step of each version, a panel per problem.
 
-    Parameters
-    ----------
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
     base = _base(table)
@@ -268,8 +266,6 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
     """Draw the largest error of the first move of each version, against its limit.
 
-    Parameters
-    ----------
     table : as of `release_times`; an error of 0 or none at all has no point.
     """
     title = "largest error of the first move [rate-limit steps]"

@@ -120,13 +120,9 @@ MOST_CONFIGURATIONS = 3
 def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str, list[WorstStep]]:
     """Compare one solver with others in `COMMENT_BYTES` of Markdown; also return its worst steps.
 
-    Parameters
-    ----------
     others : solvers to compare with; by default those of `USUAL` that ran.
 
-    Raises
-    ------
-    InputError : for a solver that was not run.
+    Raises InputError for a solver that was not run.
     """
     data, machine = report.data, report.recommendation.machine
     best = {v.configuration.solver: v for v in best_of_each(data.verdicts)}

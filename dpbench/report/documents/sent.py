@@ -65,9 +65,7 @@ _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
 def check_passive(page: str, where: str) -> None:
     """Refuse a page in which a browser would run or load something.
 
-    Raises
-    ------
-    ResultsError : naming the line, and the tag or attribute.
+    Raises ResultsError naming the line, and the tag or attribute.
     """
     for at, found in _active(page):
         line = page.count("\n", 0, at) + 1
@@ -146,9 +144,7 @@ def prepare(folder: Path, target: Path) -> None:
 
     An existing `sender.toml` is kept.
 
-    Raises
-    ------
-    InputError : when `target` is the result folder itself or holds other things.
+    Raises InputError when `target` is the result folder itself or holds other things.
     """
     allowed = "a folder of its own, as results/community/2026-11-22-name"
     if target.resolve() == folder.resolve():
@@ -171,10 +167,8 @@ def prepare(folder: Path, target: Path) -> None:
 def check_sent(folder: Path) -> str:
     """Check that a folder that was sent is complete and readable; return its description.
 
-    Raises
-    ------
-    ResultsError : naming the first file at fault: missing, damaged, too much, of another machine,
-        or a page of other runs. InputError : for the contents of `sender.toml`.
+    Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
+    machine, or a page of other runs; InputError for the contents of `sender.toml`.
     """
     where = str(folder)
     size = sum(path.lstat().st_size for path in folder.glob("*"))

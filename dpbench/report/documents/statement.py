@@ -47,9 +47,7 @@ class Line:
 def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     """Return the statement on a result folder as SVG, A4.
 
-    Raises
-    ------
-    InputError : when nothing can be recommended, so that there is nothing to state.
+    Raises InputError when nothing can be recommended, so that there is nothing to state.
     """
     chosen = choose_solver(data.verdicts).chosen
     if chosen is None or chosen.state != "pass":

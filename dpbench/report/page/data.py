@@ -39,8 +39,6 @@ def study_document(
 ) -> dict[str, Any]:
     """Return the data of a study for the page's script.
 
-    Parameters
-    ----------
     runs : those that are shown, by run_id.
     number_of : number on the page of a configuration, by name.
     """

@@ -25,8 +25,6 @@ def page_document(
 ) -> dict[str, Any]:
     """Return all data of the page but the figures; arrays of numbers go into `data.block`.
 
-    Parameters
-    ----------
     words : descriptions of experiments, by number.
     """
     cells = list(data.cells())

@@ -79,13 +79,9 @@ def build_recommendation(
 ) -> Recommendation:
     """Build the headline of the page: solver, comparison, notes and code to paste.
 
-    Parameters
-    ----------
     baseline : solver to compare with; by default a faster one, or the next.
 
-    Raises
-    ------
-    InputError : for a baseline that was not run.
+    Raises InputError for a baseline that was not run.
     """
     found = choose_solver(data.verdicts)
     chosen = found.chosen

@@ -64,8 +64,6 @@ def word_of(term: str) -> Word:
 class Terms:
     """Links to the glossary in the texts of one page, each term once in a section.
 
-    Parameters
-    ----------
     listed : terms of the list whether they are met or not, in its order.
     """
 

@@ -66,8 +66,6 @@ def page_html(
 ) -> str:
     """Return the whole page.
 
-    Parameters
-    ----------
     folder : where the files are that the page links to.
     charts : of `charts_of`; topics : sections below those that follow the selection.
     light : without scripts and the steps they show.

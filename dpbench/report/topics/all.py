@@ -39,8 +39,6 @@ def topics_of(
 ) -> list[Topic]:
     """List the topics with content, the suite's own question first.
 
-    Parameters
-    ----------
     designs, capability : of `load_designs` and `load_capability`.
     known : the studies of these records, if they are already read.
     """

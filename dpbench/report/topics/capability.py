@@ -23,12 +23,7 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """Return the topic on capability plots; None without one.
-
-    Parameters
-    ----------
-    table : of `load_capability`.
-    """
+    """Return the topic on capability plots; None without one; table : of `load_capability`."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None

@@ -50,8 +50,6 @@ def _spread(records: Records) -> list[str]:
 def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     """State how well waits of known length were measured.
 
-    Parameters
-    ----------
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
     below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
