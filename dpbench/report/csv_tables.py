@@ -31,7 +31,7 @@ COLUMNS: dict[str, str] = beside(__file__)["columns"]
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
-def tables_of(
+def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
     """Return all tables by name, some of them empty; `TABLES` explains them."""
@@ -62,14 +62,14 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
 
 def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
-    said = {
+    wording = {
         markdown_text(name): (
             TABLES.get(name, "A table of a part of the page."),
             {column: known[name][column] for column in table if column in known[name]},
         )
         for name, table in tables.items()
     }
-    return document("tables.md", tables=said)
+    return document("tables.md", tables=wording)
 
 
 def _ladder(data: PageData) -> pd.DataFrame:

@@ -30,9 +30,9 @@ def verdict_text(disturbance: Disturbance) -> str:
 def calibration_text(p50_ns: dict[str, float]) -> str:
     """Judge the harness by the median times of its own solvers [ns]."""
     missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]
-    said = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
+    wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
-    return f"{verdict} ({said})"
+    return f"{verdict} ({wording})"
 
 
 def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
@@ -73,5 +73,5 @@ def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     own = largest_of(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
-    said = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
-    return [("switches a configuration makes itself, not counted above", said)] if own else []
+    wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
+    return [("switches a configuration makes itself, not counted above", wording)] if own else []

@@ -21,7 +21,7 @@ from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
-from dpbench.report.csv_tables import tables_of
+from dpbench.report.csv_tables import build_tables
 from dpbench.report.machine_verdict import calibration_text, verdict_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import charts_of, drawn_figures
@@ -76,7 +76,7 @@ class Report:
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.data, self.recommendation, self.topics)
+        return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.bench.record.revision import made_by
 from dpbench.files.writing import write_bytes, write_text
-from dpbench.report.charts.render import encoded
+from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.section import Topic
 from dpbench.report.table import csv_bytes, markdown
-from dpbench.report.topics.paper import Claim, claims, held_text, paper_topic
+from dpbench.report.topics.paper import Claim, claims, count_reproduced, paper_topic
 from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario
 
@@ -95,8 +95,8 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         f"claims: {folder / 'claims.md'} and .csv",
         f"runs: {folder / RUNS}; `dpbench report` makes their page",
     )
-    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *places)
-    return Reproduction(said, tuple(remarks), complete=lost == 0)
+    wording = (f"{count_reproduced(judged)}.", *_contradicted(judged), stable, *places)
+    return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
 def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
@@ -104,7 +104,7 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
-            write_bytes(folder / f"{name}.{kind}", encoded(figure.chart, kind))
+            write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
         data = pd.concat([data_behind(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 

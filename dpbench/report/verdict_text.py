@@ -65,9 +65,9 @@ def counted(verdicts: Verdicts) -> str:
         else:
             groups["pass"].append(best[solver].configuration.label)
     run, good = len(best) - len(groups["not run"]), len(groups["default"])
-    said = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
-    said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
-    return "; ".join(said)
+    wording = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
+    wording += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
+    return "; ".join(wording)
 
 
 def deployment_facts(solver: str) -> str:
@@ -82,7 +82,9 @@ def deployment_facts(solver: str) -> str:
     )
 
 
-def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice) -> str:
+def explain_no_recommendation(
+    view: Records, verdicts: Verdicts, recommendation: SolverChoice
+) -> str:
     """Explain why nothing is recommended."""
     if recommendation.faster is not None:
         return (
@@ -97,27 +99,27 @@ def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice)
     return "Nothing is recommended: no solver passes in any configuration that was run."
 
 
-def usual_time(verdict: Verdict) -> str:
+def usual_time_text(verdict: Verdict) -> str:
     """Format the p99, or the p50 where there are too few steps for one."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(where(verdict.p99_run))}"
+    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(experiment_text(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
     """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
-    said = f"{significant(compared.ratio.value)} times as long over the same steps"
+    wording = f"{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
         few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
-        said += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
+        wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        said += f" (geometric mean, {interval})"
+        wording += f" (geometric mean, {interval})"
         if compared.tied:
-            return f"{said}: the two cannot be told apart"
-    return f"{said}; which is faster depends on the yardstick" if compared.unstable else said
+            return f"{wording}: the two cannot be told apart"
+    return f"{wording}; which is faster depends on the yardstick" if compared.unstable else wording
 
 
 def clauses(findings: Sequence[Finding]) -> str:
@@ -139,7 +141,7 @@ def clause(finding: Finding) -> str:
     done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
     return _WORDS[finding.kind].format(
         **words,
-        where=where(first),
+        where=experiment_text(first),
         experiments=_experiments_text(finding.runs),
         detail=detail(first),
         outcome=first.outcome,
@@ -163,7 +165,7 @@ def answer_text(steps: RunSteps, at: int) -> str:
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
-def where(row: RunRecord) -> str:
+def experiment_text(row: RunRecord) -> str:
     """Name the scenario or replay of a run."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"

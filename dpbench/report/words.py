@@ -47,7 +47,7 @@ def _compiled(words: str) -> Template:
     return _environment().from_string(words)
 
 
-def filled(words: str, **values: Any) -> str:
+def fill_template(words: str, **values: Any) -> str:
     """Fill a text that is itself a template."""
     return _compiled(words).render(values)
 

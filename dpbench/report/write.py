@@ -11,10 +11,10 @@ from dpbench.bench.design import load_designs
 from dpbench.bench.record.result_folder import load_results, writing
 from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
-from dpbench.report.charts.render import FORMATS, can_draw, encoded
+from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.markdown import beside, report_markdown, worst_text
-from dpbench.report.documents.sent import PAGE, prepare
+from dpbench.report.documents.sent import PAGE, prepare_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
@@ -82,7 +82,7 @@ def report_and_ending(
         page = folder / "report.html"
         write_text(page, _page(folder, report))
         if send is not None:
-            prepare(folder, Path(send))
+            prepare_folder(folder, Path(send))
             write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
         ended = report.summary_rows()
         if solver is not None:
@@ -99,7 +99,7 @@ def _page(folder: Path, report: Report, *, light: bool = False) -> str:
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
     """Write every stand-alone figure in each format; remove those of an earlier report."""
     files = {
-        f"{name}.{kind}": partial(encoded, chart, kind)
+        f"{name}.{kind}": partial(encode_figure, chart, kind)
         for name, chart in report.figures.items()
         for kind in dict.fromkeys(formats)
     }

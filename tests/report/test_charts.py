@@ -16,7 +16,7 @@ import pytest
 
 import dpbench
 from dpbench.report.charts.capability import COLUMNS, rose
-from dpbench.report.charts.render import encoded, save
+from dpbench.report.charts.render import encode_figure, save
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.record import Family
 from dpbench.solvers.table import TABLE
@@ -86,7 +86,7 @@ def test_it_is_written_in_four_formats(
 
 def test_names_that_xml_cannot_hold_are_drawn() -> None:
     rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
-    drawn = encoded(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
+    drawn = encode_figure(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
     assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench.analysis.records.run_steps import counting_of, run_steps
 from dpbench.files.writing import write_together
-from dpbench.report.csv_tables import TABLES, tables_of
+from dpbench.report.csv_tables import TABLES, build_tables
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
@@ -76,7 +76,7 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
     report = Report.of(records.results())
-    tables = tables_of(report.results, report.data, report.recommendation, [topic])
+    tables = build_tables(report.results, report.data, report.recommendation, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables
     assert topic.tables[0].page_rows == [list(row) for row in rows[:4]]

@@ -15,7 +15,7 @@ from jinja2.defaults import DEFAULT_FILTERS
 import dpbench.report
 from dpbench.report import formats
 from dpbench.report.table import markdown
-from dpbench.report.words import FILTERS, filled
+from dpbench.report.words import FILTERS, fill_template
 
 REPORT = Path(dpbench.report.__file__).parent
 FILES = sorted(file for file in REPORT.rglob("*.toml") if file.with_suffix(".py").exists())
@@ -70,8 +70,8 @@ def test_templates_have_closed_tags_and_known_filters(file: Path) -> None:
 
 
 def test_formats_are_filters_and_a_missing_value_is_an_error() -> None:
-    said = filled("{{ n | plural('step') }} in {{ t | time }}", n=2, t=1500.0)
-    assert said == "2 steps in 1.50 µs"
-    assert filled("{% if x == inf %}never{% endif %}, {{ x | share }}", x=inf) == "never, –"
+    output = fill_template("{{ n | plural('step') }} in {{ t | time }}", n=2, t=1500.0)
+    assert output == "2 steps in 1.50 µs"
+    assert fill_template("{% if x == inf %}never{% endif %}, {{ x | share }}", x=inf) == "never, –"
     with pytest.raises(UndefinedError):
-        filled("{{ nobody }}")
+        fill_template("{{ nobody }}")

@@ -92,8 +92,8 @@ def _spoken() -> set[str]:
 def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
     records.replay("daqp")
     assert {"answer", "solvers"} <= set(records.ending())
-    said = {*records.ending(), *TERMINAL_NOTES, *BESIDE, "solver", "machine", "harness", "page"}
-    assert said <= _spoken()
+    output = {*records.ending(), *TERMINAL_NOTES, *BESIDE, "solver", "machine", "harness", "page"}
+    assert output <= _spoken()
 
 
 @pytest.mark.parametrize(
@@ -173,10 +173,10 @@ def test_the_page_of_the_documentation_is_the_glossary() -> None:
 
 def test_a_term_is_linked_where_a_section_names_it_first() -> None:
     terms = Terms([])
-    said = terms("Replays of a<b: the requirements, the replay and requirements.")
-    assert said.count("<a ") == 2 and "a&lt;b" in said
-    assert said.startswith('<a class="term" href="#word-replay"')
-    assert f'title="{escape(meanings()["replay"])}">Replays</a>' in said
+    output = terms("Replays of a<b: the requirements, the replay and requirements.")
+    assert output.count("<a ") == 2 and "a&lt;b" in output
+    assert output.startswith('<a class="term" href="#word-replay"')
+    assert f'title="{escape(meanings()["replay"])}">Replays</a>' in output
     assert "<a " not in terms("The requirements again.")
     terms.section()
     assert "<a " in terms("The requirements in a new section.")
@@ -184,8 +184,8 @@ def test_a_term_is_linked_where_a_section_names_it_first() -> None:
 
 
 def test_the_longest_phrase_is_the_term() -> None:
-    said = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
-    assert re.findall(r"#word-([\w-]+)", said) == ["rate-limit-step", "paired-ratio"]
+    output = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
+    assert re.findall(r"#word-([\w-]+)", output) == ["rate-limit-step", "paired-ratio"]
 
 
 def test_heads_are_terms_without_their_unit() -> None:

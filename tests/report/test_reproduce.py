@@ -79,16 +79,16 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path, capsys: Any) -> Non
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "letter.txt").write_text("keep me")
     assert main(["paper", "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and "--out" in said.err
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1 and "--out" in output.err
 
 
 @pytest.mark.slow
 def test_the_paper_is_reproduced_from_nothing(tmp_path: Path, capsys: Any) -> None:
     assert main(["paper", "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr()
-    lines = said.out.splitlines()
-    assert said.err == "" and 5 <= len(lines) <= 15
+    output = capsys.readouterr()
+    lines = output.out.splitlines()
+    assert output.err == "" and 5 <= len(lines) <= 15
     assert max(len(line) for line in lines if str(tmp_path) not in line) <= 80
     _check_figures(tmp_path)
     write_report(tmp_path / "runs")

@@ -35,19 +35,21 @@ def rose(table: pd.DataFrame, title: str) -> Any:
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
     """
     cases = list(dict.fromkeys(table["case"]))
-    closed = pd.concat([_closed(table[table["case"] == case]) for case in cases])
+    closed = pd.concat([_close_ring(table[table["case"] == case]) for case in cases])
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
     x = alt.X("x:Q", scale=span, axis=None)
     y = alt.Y("y:Q", scale=span, axis=None)
     place = {"x": x, "y": y}
-    colour = style.coloured("case", cases, style.PALETTE[: len(cases)], columns=3)
+    colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order="i:Q", color=colour)
     points = _points(closed, place)
     turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
-    rings = [{**_at(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS]
-    spokes = [{**_at(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
-    bearings = [{**_at(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
+    rings = [
+        {**_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS
+    ]
+    spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
+    bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
     web = [
         _web(rings, place).encode(detail="n:N", order="i:Q"),
         _web(spokes, place).encode(detail="spoke:N"),
@@ -61,7 +63,7 @@ def rose(table: pd.DataFrame, title: str) -> Any:
         "DP capability numbers."
     )
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
-    chart = style.styled(layers, title, about)
+    chart = style.apply(layers, title, about)
     chart.title.subtitle = [
         "by where wind, waves and current come from;",
         "rings: DP capability numbers",
@@ -96,16 +98,16 @@ def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
     ]
 
 
-def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
+def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
     """Return the coordinates of a wind (…) from a direction (…): ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 
 
-def _closed(case: pd.DataFrame) -> pd.DataFrame:
+def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of a case with the first one again at the end."""
     ring = pd.concat([case, case.iloc[:1]])
-    places = _at(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
+    places = _coordinates(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
     return ring.assign(**places, i=range(len(ring)))
 
 
@@ -117,7 +119,7 @@ def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
 def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
-    names = [{**_at(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
+    names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
     text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
     patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
     return patch, text.mark_text(fontSize=12, color=style.SOFT)
@@ -163,11 +165,11 @@ def answers(table: pd.DataFrame, title: str) -> Any:
         x=alt.X("share:Q", title="share of the QPs [%]", scale=scale, axis=axis),
         y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
         order="place:Q",
-        color=style.coloured("answer", hues, hues.values(), symbolType="square", columns=2),
+        color=style.colour("answer", hues, hues.values(), symbolType="square", columns=2),
         tooltip=["solver:N", "answer:N", "qps:Q"],
     )
     about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
-    return style.styled(chart.properties(width=250, height=alt.Step(17)), title, about)
+    return style.apply(chart.properties(width=250, height=alt.Step(17)), title, about)
 
 
 _STATES = {HELD: style.PASS, LOST: style.FAIL, UNKNOWN: style.INCONCLUSIVE}
@@ -193,7 +195,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
         tooltip=[style.tip("group:N", "lost"), "state:N", *ends],
     )
     time = alt.Scale(domain=[float(first), float(last)], nice=False)
-    colour = style.coloured("state", present, present.values(), symbolType="square")
+    colour = style.colour("state", present, present.values(), symbolType="square")
     bars = base.mark_bar().encode(
         x=alt.X("from_s:Q", title="time [s]", scale=time, axis=alt.Axis(tickCount=5)),
         x2="to_s:Q",
@@ -204,7 +206,7 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     )
     chart = alt.layer(bars, words, width=250, height=alt.Step(26))
     about = "For each failure group, when the thrusters that remain could hold the ship."
-    return style.styled(chart, title, about)
+    return style.apply(chart, title, about)
 
 
 _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
@@ -225,7 +227,7 @@ def shares(table: pd.DataFrame, title: str) -> Any:
     chart = chart.encode(
         x=alt.X("percent:Q", title=across, scale=style.log_scale(padding=12), axis=axis),
         y=style.named_rows("name", table["name"].tolist(), grid=True),
-        color=style.coloured("answers", kinds, colours),
+        color=style.colour("answers", kinds, colours),
         shape=alt.Shape("answers:N", scale=style.names_scale(kinds, shapes)),
         tooltip=[
             style.tip("name:N", "configuration"),
@@ -234,4 +236,4 @@ def shares(table: pd.DataFrame, title: str) -> Any:
         ],
     )
     about = "For each solver the largest share of a sample that the QPs of all groups take."
-    return style.styled(chart.properties(width=190, height=alt.Step(18)), title, about)
+    return style.apply(chart.properties(width=190, height=alt.Step(18)), title, about)

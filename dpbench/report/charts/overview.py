@@ -46,7 +46,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     # Worked out in the figure, so that the page can hand it other rows.
     signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
     inks = json.dumps(dict(zip(STATES, style.STATE_COLOURS, strict=True)))
-    pick = style.picking("id", "experiment_id")
+    pick = style.pick_selection("id", "experiment_id")
     in_a_row = len(experiments) * (1 if stacked else len(levels))
     tall = len(experiments) > MOST_ACROSS or in_a_row > 2 * MOST_ACROSS
     across, down = ("solver", "experiment") if tall else ("experiment", "solver")
@@ -74,7 +74,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     }
     legend |= {"columns": 2} if stacked else {}
     tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
-        color=style.coloured("verdict", STATES, style.FILLS, title="verdict", **legend)
+        color=style.colour("verdict", STATES, style.FILLS, title="verdict", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
     frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
@@ -93,7 +93,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
-    return style.styled(chart, "Verdicts by scenario and replay", about)
+    return style.apply(chart, "Verdicts by scenario and replay", about)
 
 
 POINT_COLUMNS = (
@@ -125,9 +125,9 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
         full=[FULL.get(state, FULL["inconclusive"]) for state in table["verdict"]],
     )
     percentile = alt.param(name="percentile", value="p50")
-    pick = style.picking("id")
+    pick = style.pick_selection("id")
     families = {f: hue for f, hue in style.FAMILY_COLOURS.items() if f in set(table["family"])}
-    colour = style.coloured(
+    colour = style.colour(
         "family", families, families.values(), columns=_LEGEND_COLUMNS, symbolOpacity=1.0
     )
     decades = alt.Axis(format=".0e")
@@ -152,7 +152,7 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
         ),
         fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
         shape=alt.Shape("settings:N", title=None, legend=filled),
-        size=style.either(pick, 190, 70),
+        size=style.choose(pick, 190, 70),
     )
     named = (
         base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
@@ -160,7 +160,7 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
         .mark_point(filled=True, opacity=0, size=110)
         .properties(name=style.NAMES)
     )
-    return style.styled(
+    return style.apply(
         alt.layer(
             lines, style.limit_rule(error_limit), dots, named, _fullness(), width=620, height=360
         ),
@@ -208,7 +208,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     base = _scaled(table)
     x = _axis(table, deadline_ms)
     parts = (*_rows(base), *_times(base, x), *_limits(deadline_ms, p99_ms))
-    return style.styled(
+    return style.apply(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
         "How close to the deadline",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
@@ -260,18 +260,18 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
 
 def _rows(base: alt.Chart) -> Iterator[Any]:
     """Draw the areas that take clicks, and the mark of the chosen row."""
-    pick = style.picking("id")
+    pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
     clicked = style.whole_rows(base, alt.Undefined, opacity=0.0)
     yield clicked.add_params(factor, style.narrow(), pick)
-    yield style.whole_rows(base, style.either(pick, 0.25, 0.0), color=style.ACCENT)
+    yield style.whole_rows(base, style.choose(pick, 0.25, 0.0), color=style.ACCENT)
 
 
 def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     """Draw the call overhead, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
-    colour = style.coloured("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
+    colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
     yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
         x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
     )

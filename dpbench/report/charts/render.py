@@ -115,7 +115,7 @@ def _names() -> dict[str, Any]:
     }
 
 
-def encoded(chart: Any, kind: str) -> bytes:
+def encode_figure(chart: Any, kind: str) -> bytes:
     """Return the figure as a file of a kind of `FORMATS`, or as a self-contained HTML page."""
     if kind == "html":
         page = io.StringIO()
@@ -130,7 +130,7 @@ def encoded(chart: Any, kind: str) -> bytes:
 
 def save(chart: Any, path: Path) -> Path:
     """Write the figure in the format that the name of the file ends with, as `encoded` does."""
-    write_given(path, encoded(chart, path.suffix.lstrip(".")))
+    write_given(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 

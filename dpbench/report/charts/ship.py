@@ -42,7 +42,7 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
     starts = [*map(float, scenario.start[:2])]
     kinds = ["start", "reference"]
     points = pd.DataFrame([starts, [north, east]], columns=["n", "e"]).assign(what=kinds)
-    x, y = _alike(pd.concat([table, circle, points]))
+    x, y = _equal_axes(pd.concat([table, circle, points]))
     lines = alt.Chart(table).mark_line(strokeWidth=1.8)
     lines = lines.encode(x=x, y=y, order="i:Q", color=_law(laws), strokeDash=_dash(laws))
     ring = (
@@ -55,7 +55,7 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
     marks = alt.Chart(points).mark_point(filled=True, size=70, color=style.INK)
     marks = marks.encode(x=x, y=y, shape=shape)
     chart = alt.layer(ring, lines, marks, width=285, height=285)
-    return style.styled(chart, "Path of the ship", "Path of the ship under each control law.")
+    return style.apply(chart, "Path of the ship", "Path of the ship under each control law.")
 
 
 def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
@@ -71,21 +71,21 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
         if log:
             panel = alt.layer(panel, _limits((CIRCLE_M,)))
         panels.append(panel)
-    said = "North, east, heading and radial error against time."
-    return style.styled(_stack(panels), "Errors of position and heading", said)
+    wording = "North, east, heading and radial error against time."
+    return style.apply(_stack(panels), "Errors of position and heading", wording)
 
 
 def forces(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 6: the force applied in each axis, with its amplitude limits."""
     panels = _of_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
-    return style.styled(panels, "Forces", "Force applied in each axis, with its limits.")
+    return style.apply(panels, "Forces", "Force applied in each axis, with its limits.")
 
 
 def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Figure 7: the change of the force in each step, with the rate limits."""
     most = scenario.force_step_max
     panels = _of_axes(laws, "dtau", "Δ", -most, most)
-    return style.styled(panels, "Increments", "Change of the force in each step, with its limits.")
+    return style.apply(panels, "Increments", "Change of the force in each step, with its limits.")
 
 
 def _of_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
@@ -154,7 +154,7 @@ def _stack(panels: Sequence[Any]) -> Any:
 
 def _law(laws: Sequence[Law]) -> alt.Color:
     labels = [law.label for law in laws]
-    return style.coloured("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
+    return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
@@ -162,7 +162,7 @@ def _dash(laws: Sequence[Law]) -> alt.StrokeDash:
     return alt.StrokeDash("law:N", title=None, scale=scale)
 
 
-def _alike(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
+def _equal_axes(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
     """Return axes of equal scale around all points."""
     middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
     half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))

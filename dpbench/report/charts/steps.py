@@ -43,7 +43,7 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float)
     )
     also = "" if forces is None else " and forces"
     about = f"Step time, error of the first move, iterations{also} of one run over its steps."
-    return style.styled(chart, "Step by step", about)
+    return style.apply(chart, "Step by step", about)
 
 
 def _steps(name: str, table: pd.DataFrame) -> alt.Chart:
@@ -77,8 +77,8 @@ def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
     dots = dots.encode(
         tooltip=["k:Q", style.tip("error:Q", "error of the first move", 2)],
         y=alt.Y("shown:Q", title="error_move", scale=scale, axis=axis),
-        color=style.either("datum.failed", style.FAIL, style.SOFT),
-        size=style.either("datum.failed", 40, 9),
+        color=style.choose("datum.failed", style.FAIL, style.SOFT),
+        size=style.choose("datum.failed", 40, 9),
     )
     return [dots, style.limit_rule(error_limit)]
 
@@ -94,7 +94,7 @@ def _forces(forces: alt.Chart) -> Any:
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),
-        color=style.coloured("force", FORCES, style.PALETTE[:3]),
+        color=style.colour("force", FORCES, style.PALETTE[:3]),
     )
 
 
@@ -121,7 +121,7 @@ def pairs(first: str, second: str) -> Any:
         .mark_line(color=style.SOFT, strokeDash=[4, 3])
         .encode(x="at:Q", y="at:Q")
     )
-    return style.styled(
+    return style.apply(
         alt.layer(dots, ends, width=330, height=330),
         "Two configurations, step by step [µs]",
         "Step times of two configurations against each other; below the line the second is faster.",

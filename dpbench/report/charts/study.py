@@ -43,7 +43,7 @@ def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
     each = alt.Facet("configuration:N", title=None, sort=names)
-    return style.styled(
+    return style.apply(
         marks.properties(width=size, height=size).facet(each, columns=3), title, title
     )
 
@@ -58,7 +58,7 @@ def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
         color=alt.Color("configuration:N", title=None, legend=style.below()),
         tooltip=["configuration:N", style.tip("x:Q", x), style.tip("held:Q")],
     )
-    return style.styled(chart.properties(width=290, height=180), title, title)
+    return style.apply(chart.properties(width=290, height=180), title, title)
 
 
 def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
@@ -81,7 +81,7 @@ def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float)
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
     )
-    return style.styled(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
+    return style.apply(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
 
 
 _MEAN_TIPS = (
@@ -118,24 +118,24 @@ def design(*, tiles: bool) -> Any:
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
     tips = [style.tip("values:N", "point"), style.tip("said:N", "seas held")]
-    ring: dict[str, Any] = {"stroke": style.either(_CHOSEN, style.ACCENT, style.PAPER)}
-    ring["strokeWidth"] = style.either(_CHOSEN, 3, 1)
+    ring: dict[str, Any] = {"stroke": style.choose(_CHOSEN, style.ACCENT, style.PAPER)}
+    ring["strokeWidth"] = style.choose(_CHOSEN, 3, 1)
     base = style.inline(name="design").encode(x=x, y=y, tooltip=tips)
     title = "within the radius"
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
-        look = style.coloured("state", HELD, fills, title=title, symbolType="square")
+        look = style.colour("state", HELD, fills, title=title, symbolType="square")
         counts = base.mark_text(fontSize=12, color=style.INK).encode(text="said:N")
         parts = [base.mark_rect().encode(color=look, **ring), counts]
     else:
-        look = style.coloured("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
+        look = style.colour("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
         shapes = alt.Shape(
             "state:N", scale=style.names_scale(HELD, [style.STATE_SHAPES[i] for i in _LOOKS])
         )
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
-    return style.styled(chart, "Seas held", "Share of seas held at each point of the design.")
+    return style.apply(chart, "Seas held", "Share of seas held at each point of the design.")
 
 
 def behind_there(small_cm: float) -> Any:
@@ -151,9 +151,9 @@ def behind_there(small_cm: float) -> Any:
     seas = seas.encode(
         x=alt.X("behind_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
-        color=style.either(_CHOSEN, style.FAIL, style.SOFT),
-        size=style.either(_CHOSEN, 90, 28),
-        opacity=style.either(_CHOSEN, 1.0, 0.6),
+        color=style.choose(_CHOSEN, style.FAIL, style.SOFT),
+        size=style.choose(_CHOSEN, 90, 28),
+        opacity=style.choose(_CHOSEN, 1.0, 0.6),
         tooltip=[
             who,
             alt.Tooltip("replicate:Q", title="sea"),
@@ -161,12 +161,12 @@ def behind_there(small_cm: float) -> Any:
         ],
     )
     marked = style.whole_rows(
-        means, style.either(_CHOSEN, 0.2, 0.0), color=style.ACCENT
+        means, style.choose(_CHOSEN, 0.2, 0.0), color=style.ACCENT
     ).add_params(style.narrow())
     parts = (_band(small_cm, opacity=0.6), marked, *_means(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
-    return style.styled(chart, "Behind the reference", about)
+    return style.apply(chart, "Behind the reference", about)
 
 
 def seas_there() -> Any:
@@ -187,10 +187,10 @@ def seas_there() -> Any:
     dots = dots.encode(
         x=x,
         y=alt.Y("value:Q", title="largest radial error, second half [m]"),
-        color=style.coloured("who", who, (style.ACCENT, style.SOFT)),
+        color=style.colour("who", who, (style.ACCENT, style.SOFT)),
         shape=alt.Shape("who:N", scale=style.names_scale(who, ("circle", "cross"))),
-        size=style.either(_CHOSEN, 170, 45),
-        strokeWidth=style.either(_CHOSEN, 3, 1.5),
+        size=style.choose(_CHOSEN, 170, 45),
+        strokeWidth=style.choose(_CHOSEN, 3, 1.5),
         tooltip=[
             style.tip("who:N", "configuration"),
             alt.Tooltip("replicate:Q", title="sea"),
@@ -199,4 +199,4 @@ def seas_there() -> Any:
     )
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
-    return style.styled(chart, "The seas of one point", about)
+    return style.apply(chart, "The seas of one point", about)

@@ -42,7 +42,7 @@ def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
     return alt.Scale(domain=list(names), range=list(looks))
 
 
-def coloured(
+def colour(
     field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
 ) -> alt.Color:
     """Return a colour channel by name, with a legend `below`."""
@@ -50,7 +50,7 @@ def coloured(
     return alt.Color(f"{field}:N", scale=scale, title=title, legend=below(**legend))
 
 
-def picking(*fields: str) -> alt.Parameter:
+def pick_selection(*fields: str) -> alt.Parameter:
     """Return the selection `pick`, which clicking sets to the fields of a mark."""
     return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
 
@@ -100,7 +100,7 @@ def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
     return alt.Tooltip(field, title=title, format=form)
 
 
-def either(test: Any, yes: object, no: object) -> Any:
+def choose(test: Any, yes: object, no: object) -> Any:
     """One look where `test` holds, a selection or an expression, and else the other."""
     return alt.condition(test, alt.value(yes), alt.value(no))
 
@@ -128,7 +128,7 @@ def whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
-def alike(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
+def equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
     """Draw the line on which both coordinates are equal; x, y : axes of any fields."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
@@ -144,7 +144,7 @@ _WORDS: dict[str, Any] = {
 }
 
 
-def styled(chart: Any, title: str, description: str) -> Any:
+def apply(chart: Any, title: str, description: str) -> Any:
     """Set the common style of a chart in place: Altair's own methods copy all of its parts."""
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description

@@ -63,8 +63,8 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
         rows.append(
             {
                 "solver": solver,
-                "step times": _together(times, TIMES),
-                "accuracy and control": _together(changes, CHANGES),
+                "step times": _merge_verdicts(times, TIMES),
+                "accuracy and control": _merge_verdicts(changes, CHANGES),
                 "configurations": counts,
                 "figures": count_text(changes.total()),
             }
@@ -77,7 +77,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
     return Table.of(rows, "Verdict per solver", note=note, text_columns=4)
 
 
-def _together(counts: Counter[str], order: tuple[str, ...]) -> str:
+def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
     """Merge several verdicts into one; `order`: the two claims, then the weaker ones."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
@@ -133,18 +133,18 @@ def _time_row(compared: Compared) -> dict[str, str]:
 def shared_line(shared: Shared) -> str:
     """State the change that all configurations of a sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
-    said = f"`{shared.sequence}`: step times of "
-    said += f"{plural(shared.configurations, 'configuration')} {moved} together "
-    said += f"by a factor {shared.factor:.3f}"
+    wording = f"`{shared.sequence}`: step times of "
+    wording += f"{plural(shared.configurations, 'configuration')} {moved} together "
+    wording += f"by a factor {shared.factor:.3f}"
     if not math.isnan(shared.kernel):
-        said += f", by {shared.kernel:.3f} the reference kernel"
+        wording += f", by {shared.kernel:.3f} the reference kernel"
     if not math.isnan(shared.load):
-        said += f", by {shared.load:.3f} the load kernel"
+        wording += f", by {shared.load:.3f} the load kernel"
     if shared.assessment is None:
-        return f"{said}; {shared.unjudged}, so this is not judged"
+        return f"{wording}; {shared.unjudged}, so this is not judged"
     verdict = shared.assessment.verdict
     cause = " in a part that all configurations share" if verdict in ("slower", "faster") else ""
-    return f"{said}: {verdict}{cause}"
+    return f"{wording}: {verdict}{cause}"
 
 
 def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
@@ -291,11 +291,11 @@ def compare(
     differ = differences(results[0].machine, results[1].machine)
     timings = time_pairs(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
-    compared, shared, said = _compare_times(views, timings, solver, margin, alpha)
+    compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
     figures = compare_answers(*views, pairs.pairs, margin)
     lines = [f"A: {a}{_machine(views[0])}", f"B: {b}{_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
-    lines += [*said, *_lines(compared, shared, figures, pairs)]
+    lines += [*wording, *_lines(compared, shared, figures, pairs)]
     changed = answers_table(figures, margin)
     tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
@@ -307,27 +307,27 @@ def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[Compared], list[Shared], list[str]]:
     """Compare step times; return verdicts, shared changes, and remarks on the method."""
-    said = []
+    wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
-        said.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
+        wording.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
     if not solver:
         unjudged = why_unjudged(*views, timings)
-        return *compare_times(timings, margin, alpha, unjudged), said
+        return *compare_times(timings, margin, alpha, unjudged), wording
     rows = reference_rows(timings, solver)
     known = [timings[row] for row in dict.fromkeys(rows.tolist()) if row >= 0]
     took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
-    said.append(
+    wording.append(
         f"step times are compared as ratios to {known[0].pair.label}, which takes B/A "
         f"{and_list(took)}"
     )
-    return compare_to_reference(timings, margin, alpha, rows), [], said
+    return compare_to_reference(timings, margin, alpha, rows), [], wording
 
 
 def _machine(view: Records) -> str:
-    said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
+    wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = disturbance_of(timed_runs(view))
-    return f"{said}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else said
+    return f"{wording}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def _lines(

@@ -21,7 +21,7 @@ from dpbench.report.compare.comparison import Comparison, answer_line, shared_li
 from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.data import columns_of
 from dpbench.report.page.pack import Block
-from dpbench.report.page.write import drawn, own, rendered, specification
+from dpbench.report.page.write import figure_markup, read_page_file, render_page, vega_specification
 from dpbench.report.table import Table
 
 SHOWN = 12
@@ -35,18 +35,18 @@ LEFT_OUT = ("B/A", "steps × rounds")
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page of a comparison."""
-    order = claims_first(comparison.compared)
+    order = sort_claims_first(comparison.compared)
     charts = _charts(order, comparison.margin)
     times = _times(order, comparison) if order else None
     others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
-    text = rendered(
+    text = render_page(
         "compare",
-        [own(f"scripts/{name}.js") for name in ("common", "compare")],
+        [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
-        lead=lead(comparison),
+        lead=lead_sentences(comparison),
         lines=[unmarked(line) for line in comparison.lines],
-        figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
-        left_out=len(order) - len(furthest(ratio_table(order), SHOWN)) if order else 0,
+        figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
+        left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
         tables=[replace(t, shown=MOST_ROWS) for t in others],
         block="" if times is None else _block(order, charts, times),
@@ -60,8 +60,8 @@ def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
         return {}
     table = ratio_table(order)
     return {
-        "ratios": ratios(furthest(table, SHOWN), margin),
-        "both": both(table),
+        "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
+        "both": draw_both(table),
         "steps": pairs("A: step time", "B: step time"),
     }
 
@@ -93,7 +93,7 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> s
         "compared": columns_of(rows),
         "heads": list(times.heads),
         "row_step": ROW_STEP,
-        "charts": {name: specification(chart) for name, chart in charts.items()},
+        "charts": {name: vega_specification(chart) for name, chart in charts.items()},
     }
     return block.text(document)
 
@@ -126,7 +126,7 @@ def _addresses(order: Sequence[Compared]) -> list[str]:
     return addresses
 
 
-def lead(comparison: Comparison) -> list[str]:
+def lead_sentences(comparison: Comparison) -> list[str]:
     """One sentence on times and accuracy, then what all configurations became slower by."""
     together = [
         unmarked(f"All together: {shared_line(shared)}.")
@@ -172,7 +172,7 @@ def _slower(comparison: Comparison) -> str:
 
 
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
-_COLOUR = style.coloured(
+_COLOUR = style.colour(
     "verdict", VERDICTS, (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN), columns=2
 )
 _SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
@@ -186,7 +186,7 @@ _TIPS = [
 ]
 
 
-def ratios(table: pd.DataFrame, margin: float) -> Any:
+def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     """Draw B over A less the machine factor, with its interval; dotted: no difference.
 
     table : of `ratio_table`; margin : ratio that counts as equal.
@@ -196,8 +196,8 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
         color=_COLOUR,
         tooltip=_TIPS,
     )
-    pick = style.picking("id")
-    rows = style.whole_rows(base, style.either(pick, 0.16, 0.0), 16, color=style.ACCENT)
+    pick = style.pick_selection("id")
+    rows = style.whole_rows(base, style.choose(pick, 0.16, 0.0), 16, color=style.ACCENT)
     rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow(), pick)
     axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
     title = "B / A, machine factor taken out"
@@ -207,25 +207,25 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
     rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
     chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
-    return style.styled(chart, "What became slower", "Ratio of step times of each configuration.")
+    return style.apply(chart, "What became slower", "Ratio of step times of each configuration.")
 
 
-def both(table: pd.DataFrame) -> Any:
+def draw_both(table: pd.DataFrame) -> Any:
     """Median step time in B against A on equal axes, a mark a configuration and sequence."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
     scale = style.log_scale(domain=[low, high])
     x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
     y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
-    pick = style.picking("id")
+    pick = style.pick_selection("id")
     points = alt.Chart(table).mark_point(filled=True, opacity=0.9)
     looks: dict[str, Any] = {"color": _COLOUR, "shape": _SHAPE, "tooltip": _TIPS}
-    points = points.encode(x=x, y=y, **looks, size=style.either(pick, 260, 55)).add_params(pick)
-    chart = alt.layer(style.alike(low, high, x, y), points, width=330, height=330)
-    return style.styled(chart, "Both runs", "Median step times of both runs against each other.")
+    points = points.encode(x=x, y=y, **looks, size=style.choose(pick, 260, 55)).add_params(pick)
+    chart = alt.layer(style.equality_line(low, high, x, y), points, width=330, height=330)
+    return style.apply(chart, "Both runs", "Median step times of both runs against each other.")
 
 
-def claims_first(compared: Sequence[Compared]) -> list[Compared]:
+def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
     """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
@@ -252,7 +252,7 @@ def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
 
 
-def furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
+def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
     """Of a `ratio_table` what is judged to differ, and so many at either end whatever is said."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)

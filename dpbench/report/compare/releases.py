@@ -12,13 +12,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import differences
-from dpbench.analysis.compare.releases import (
-    FIGURES,
-    Histories,
-    History,
-    histories,
-    release_table,
-)
+from dpbench.analysis.compare.releases import FIGURES, Histories, History, histories, release_table
 from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.requirements import Requirements
@@ -36,7 +30,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.page.write import drawn, rendered
+from dpbench.report.page.write import figure_markup, render_page
 from dpbench.report.table import Table, document
 
 BUSY = 0.05
@@ -109,10 +103,11 @@ def _sentence(solver: str, own_histories: Sequence[History]) -> str:
     errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
     failed = " → ".join(_count(largest([r.failed_steps for r in side])) for side in sides)
     versions = " → ".join(release.version for release in ends[0])
-    return f"{solver} {versions}: {_took(changed)}; largest error {errors}, failed steps {failed}."
+    times = _state_times(changed)
+    return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
 
 
-def _took(changed: Sequence[History]) -> str:
+def _state_times(changed: Sequence[History]) -> str:
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -236,8 +231,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
             release_errors(table, releases.requirements.error_move)
         ),
     }
-    figures = [(caption, drawn(chart)) for caption, chart in charts.items() if len(table)]
-    text = rendered(
+    figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
+    text = render_page(
         "releases",
         lead=releases.lead,
         lines=releases.lines,
@@ -284,7 +279,7 @@ def _axis(form: str) -> alt.Axis:
 def _base(table: pd.DataFrame) -> Any:
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
-        color=style.coloured("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
+        color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
         shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
         tooltip=["label:N", *(style.tip(f"{name}:Q") for name in FIGURES)],
     )
@@ -298,4 +293,4 @@ def _panels(layers: Sequence[Any], title: str, description: str) -> Any:
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)
-    return style.styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)
+    return style.apply(chart.facet(row=row).resolve_scale(y="independent"), title, description)

@@ -50,7 +50,7 @@ def report_markdown(
     """Return the report in Markdown, at most `MOST_BYTES` long."""
     suite = results.suite
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    said = (
+    wording = (
         [recommendation.sentence, *(note for _, note in recommendation.notes)]
         if data.verdicts.of or not lead
         else []
@@ -61,7 +61,7 @@ def report_markdown(
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
         f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
-        *map(markdown_line, [*lead, *said]),
+        *map(markdown_line, [*lead, *wording]),
         solver_table(data, best_of_each(data.verdicts)),
         *map(markdown_line, after),
     ]
@@ -156,15 +156,15 @@ def _sentence(data: PageData, verdict: Verdict) -> str:
     if verdict.causes:
         verb = "is late" if verdict.state == "late" else "fails"
         return f"`{label}` {verb}: {clauses(verdict.causes)}."
-    said = clauses(verdict.missing)
-    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {said}."
+    wording = clauses(verdict.missing)
+    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
 
 
 def _paired(data: PageData, own: Verdict, other: Verdict) -> str:
     faster, slower = fastest_first([own, other])
-    said = paired_text(paired_comparison(data.records, faster, slower))
+    wording = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
-    return f"{names}: {said}."
+    return f"{names}: {wording}."
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:

@@ -139,7 +139,7 @@ class Sender(BaseModel):
     """What a reader should know beside it."""
 
 
-def prepare(folder: Path, target: Path) -> None:
+def prepare_folder(folder: Path, target: Path) -> None:
     """Copy the files to send into a folder of their own, with a form for the sender.
 
     An existing `sender.toml` is kept.
@@ -155,7 +155,7 @@ def prepare(folder: Path, target: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
-    for name in _copied(folder):
+    for name in _files_to_send(folder):
         with replaced(target / name) as part:
             shutil.copyfile(folder / name, part)
     started = str(read_suite(folder).get("started_utc", ""))[:10]
@@ -197,7 +197,7 @@ def _strangers(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 
 
-def _copied(folder: Path) -> list[str]:
+def _files_to_send(folder: Path) -> list[str]:
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
@@ -219,7 +219,7 @@ def _check_page(folder: Path) -> None:
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")
-    for name, sha in hashes(folder, _copied(folder)).items():
+    for name, sha in hashes(folder, _files_to_send(folder)).items():
         if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)

@@ -28,7 +28,7 @@ MOST_LOOPS = 400
 """So many of them with their steps."""
 
 
-def shown(runs: Iterable[RunRecord]) -> list[RunRecord]:
+def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Select the runs of studies for the page, the first sea of every point first."""
     solving = [run for run in runs if not run.is_baseline_law]
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
@@ -72,7 +72,7 @@ def study_document(
     }
 
 
-def opening(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
+def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
     """Choose the run that a page on a study opens with; None where nothing is shown.
 
     Of the configuration that holds fewest seas, or else the one farthest from the exact loop; a sea
@@ -106,7 +106,7 @@ class PageData(RunMatrix):
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
         """Select the data of some records; of studies the runs that the page has room for."""
-        return cls.from_records(records, verdicts, shown(records.study), MOST_LOOPS)
+        return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
 
     @cached_property
     def studies(self) -> list[Study]:
@@ -116,16 +116,16 @@ class PageData(RunMatrix):
     @cached_property
     def study_documents(self) -> list[dict[str, Any]]:
         """What the script of the page knows of each."""
-        runs = {run.run_id: run for run in shown(self.records.study)}
+        runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
         numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
-    def opening(self) -> tuple[int, int] | None:
+    def choose_opening_run(self) -> tuple[int, int] | None:
         """Numbers of the configuration and experiment that a page on studies alone opens with."""
         if self.judged_experiments or not self.studies:
             return None
-        run = opening(self.studies[0], shown(self.records.study))
+        run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
         if run is None:
             return None
         return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
@@ -158,7 +158,7 @@ class PageData(RunMatrix):
             run = self.runs[c, p]
             entry, kept = self._cell(c, p, run), self.kept.get(run.run_id)
             if kept is not None:
-                entry |= pack_steps(self.block, kept) | {"hard": _hard(kept, hard)}
+                entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
                 if kept.track is not None:
                     entry |= pack_track(self.block, kept.track, references.get(p))
                     entry["reference"] = p not in references
@@ -197,7 +197,7 @@ class PageData(RunMatrix):
         return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
 
 
-def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
+def _hardest_steps(run: KeptRun, count: int) -> list[list[list[Any]]]:
     """Return the hardest steps by each measure: k, figure, status, claimed, true, active limits."""
     return [
         [

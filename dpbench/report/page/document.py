@@ -132,19 +132,23 @@ def _experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, An
 
 
 def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -> dict[str, Any]:
-    said: dict[str, Any] = {
+    wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,
         "trial": experiment.units == "si",
     }
     if experiment.study:
-        said |= {"study": experiment.study, "point": experiment.point, "sea": experiment.replicate}
+        wording |= {
+            "study": experiment.study,
+            "point": experiment.point,
+            "sea": experiment.replicate,
+        }
     if run is None:
-        return said
+        return wording
     if not experiment.study:
-        said |= {"source": run.exported_by, "first": run.first_step}
+        wording |= {"source": run.exported_by, "first": run.first_step}
     scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:
-        said["reference"] = [float(x) for x in scenario.reference]
-        said["length_m"] = float(scenario.vessel.length_m)
-    return said
+        wording["reference"] = [float(x) for x in scenario.reference]
+        wording["length_m"] = float(scenario.vessel.length_m)
+    return wording

@@ -48,22 +48,22 @@ def _matrix_text(data: PageData) -> str:
     """Explain the tiles, and how many experiments are left out."""
     tiles = tile_table(data)
     there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
-    said = [MATRIX]
+    wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
-        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
+        wording.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
-        said.append(f"{most}; all are in tables/experiments.csv.")
-    return " ".join(said)
+        wording.append(f"{most}; all are in tables/experiments.csv.")
+    return " ".join(wording)
 
 
 def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
     """State how many solvers fail in SI units with default settings."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
     ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
-    asked = ran[ran["settings"] == "default"]
-    failing = asked.loc[asked["verdict"] == "fail", "solver"].nunique()
-    return f"; {failing} of {asked['solver'].nunique()} solvers fail there: scale the QP" * (
+    requested = ran[ran["settings"] == "default"]
+    failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
+    return f"; {failing} of {requested['solver'].nunique()} solvers fail there: scale the QP" * (
         failing > 0
     )
 

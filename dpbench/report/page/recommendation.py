@@ -21,11 +21,11 @@ from dpbench.report.verdict_text import (
     NOBODY,
     clauses,
     deployment_facts,
+    explain_no_recommendation,
     judged_on,
     paired_text,
     requirements_text,
-    usual_time,
-    why_nothing,
+    usual_time_text,
 )
 from dpbench.solvers.settings import has_setting, level_options
 
@@ -40,7 +40,7 @@ MOST_INCONCLUSIVE = 2
 class Chip:
     """Whether the answer holds in `experiment`, by its number; or in how many, without one."""
 
-    said: str
+    state_text: str
     mark: str
     name: str = ""
     experiment: int | None = None
@@ -48,7 +48,7 @@ class Chip:
     @property
     def text(self) -> str:
         """As it is written where there is no page."""
-        return f"{self.name}: {self.said}" if self.name else self.said
+        return f"{self.name}: {self.state_text}" if self.name else self.state_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,30 +112,29 @@ def build_recommendation(
 def _sentence(data: PageData, found: SolverChoice) -> str:
     chosen = found.chosen
     if chosen is None:
-        return _nothing(data, found)
+        return _explain_nothing(data, found)
     c = chosen.configuration
     heads = {"pass": "Use", "borderline": "Borderline:"}
     head = heads.get(chosen.state, "Nothing contradicts")
     lacks = "" if chosen.state == "pass" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time(chosen)}, largest error of the "
-        f"first move "
-        f"{error_text(chosen.error_move)}{lacks}."
+        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time_text(chosen)}, largest error of "
+        f"the first move {error_text(chosen.error_move)}{lacks}."
     )
 
 
 def _no_solution(data: PageData, c: Configuration) -> str:
     steps, told = data.without_solution(c)
-    said = ", and it said so" if told else ""
-    return f" ({plural(steps, 'step')} had no solution{said})" if steps else ""
+    wording = ", and it said so" if told else ""
+    return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
-def _nothing(data: PageData, found: SolverChoice) -> str:
+def _explain_nothing(data: PageData, found: SolverChoice) -> str:
     """Explain why nothing is recommended; empty where no recommendation was asked for."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
-        return unmarked(why_nothing(records, data.verdicts, found))
+        return unmarked(explain_no_recommendation(records, data.verdicts, found))
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
@@ -159,7 +158,7 @@ def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
     yield from _open_notes(data, found)
     if found.runner_up is not None:
         beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
-        label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
+        label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
@@ -219,7 +218,12 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(f"{state}{_otherwise(data, first, p)}", marks[state], data.experiments[p].label, p)
+        Chip(
+            f"{state}{_other_call_modes(data, first, p)}",
+            marks[state],
+            data.experiments[p].label,
+            p,
+        )
         for p, state in zip(experiments, states, strict=True)
         if state not in counted
     ]
@@ -231,7 +235,7 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     return [*sums, *named]
 
 
-def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
+def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
     """Describe the other call modes of a solver in an experiment where this one was not run."""
     if (data.index(chosen), p) in data.runs:
         return ""

@@ -78,7 +78,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
             if all(x in ("", None) for x in cells):
                 continue
             columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
-            columns[-1] |= _shown(name)
+            columns[-1] |= _column_label(name)
             values.append(cells)
     return {
         "rows": len(runs),
@@ -89,7 +89,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _shown(name: str) -> dict[str, Any]:
+def _column_label(name: str) -> dict[str, Any]:
     """Return the label of a column on the page, and the scale to it: times are microseconds."""
     if not name.endswith("_ns"):
         return {"label": name}

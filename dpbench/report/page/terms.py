@@ -126,9 +126,9 @@ def experiment_words(data: PageData) -> dict[int, Word]:
         for p in data.judged_experiments[:MOST_EXPERIMENTS]
     }
     return {
-        p: Word(f"experiment-{p}", data.experiments[p].label, said)
-        for p, said in named.items()
-        if said
+        p: Word(f"experiment-{p}", data.experiments[p].label, wording)
+        for p, wording in named.items()
+        if wording
     }
 
 

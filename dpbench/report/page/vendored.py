@@ -57,8 +57,8 @@ def renew() -> None:
     entries = []
     for entry in vendored():
         with tempfile.TemporaryDirectory() as folder:
-            asked = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
-            subprocess.run(asked, cwd=folder, check=True)
+            requested = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
+            subprocess.run(requested, cwd=folder, check=True)
             (packed,) = Path(folder).glob("*.tgz")
             with tarfile.open(packed) as archive:
                 for member, name in ((entry.member, entry.file), ("LICENSE", entry.licence_file)):

@@ -86,10 +86,10 @@ def page_html(
     block = ""
     if not light:
         document = page_document(data, results, recommendation, experiments)
-        block = data.block.text(document | {"charts": _specifications(figures)})
-    return rendered(
+        block = data.block.text(document | {"charts": _vega_specifications(figures)})
+    return render_page(
         "page",
-        ["\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)],
+        ["\n".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
         about=ABOUT,
@@ -97,9 +97,9 @@ def page_html(
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},
         answer=recommendation,
-        figures={name: drawn(chart) for name, chart in drawn_figures(charts).items()},
+        figures={name: figure_markup(chart) for name, chart in drawn_figures(charts).items()},
         lead=lead,
-        picture=_picture,
+        picture=_picture_address,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),
         studies=len(data.studies),
@@ -128,17 +128,17 @@ WORDS = (
 """Of the glossary what the page says of any solver, before the words on how they are run."""
 
 
-def follow(text: str) -> str:
+def use_page_colours(text: str) -> str:
     """Replace the plain colours of a figure by those of the page."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
-def _picture(chart: Any) -> str:
+def _picture_address(chart: Any) -> str:
     """Encode a figure as a `data:` address, one node of the page, in the colours of the page."""
-    head, rest = follow(svg(chart)).split(">", 1)
-    colours = own("templates/page.css").split("* {", 1)[0]
+    head, rest = use_page_colours(svg(chart)).split(">", 1)
+    colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
 
@@ -155,35 +155,38 @@ def software_citation(results: Results) -> str:
 }}"""
 
 
-def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
+def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures as Vega; the narrow matrix takes its tiles from the wide one."""
-    made = {name: specification(chart) for name, chart in charts.items()}
+    made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
             data["values"] = []
     return made
 
 
-def drawn(chart: Any) -> Markup:
+def figure_markup(chart: Any) -> Markup:
     """Return a figure as SVG for a page before any script has run."""
-    return Markup(follow(svg(chart, titled=False)))
+    return Markup(use_page_colours(svg(chart, titled=False)))
 
 
-def specification(chart: Any) -> dict[str, Any]:
+def vega_specification(chart: Any) -> dict[str, Any]:
     """Return a figure as Vega, in the colours of the page."""
-    made: dict[str, Any] = json.loads(follow(json.dumps(vega(chart))))
+    made: dict[str, Any] = json.loads(use_page_colours(json.dumps(vega(chart))))
     return made
 
 
-def rendered(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
+def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
     """Render a page from a template, with the common style and its own scripts."""
     texts = [*map(script, vendored()), *scripts]
-    shown |= {"css": Markup(own("templates/page.css")), "scripts": list(map(Markup, texts))}
-    return environment().get_template(f"{template}.html.j2").render(**shown)
+    shown |= {
+        "css": Markup(read_page_file("templates/page.css")),
+        "scripts": list(map(Markup, texts)),
+    }
+    return template_environment().get_template(f"{template}.html.j2").render(**shown)
 
 
 @cache
-def environment() -> Environment:
+def template_environment() -> Environment:
     """Return the environment of the page's templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),
@@ -195,6 +198,6 @@ def environment() -> Environment:
 
 
 @cache
-def own(name: str) -> str:
+def read_page_file(name: str) -> str:
     """Return a template or script of the page."""
     return files("dpbench.report.page").joinpath(name).read_text(encoding="utf-8")

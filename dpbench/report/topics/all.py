@@ -88,8 +88,8 @@ def _question(records: Records, topics: Sequence[str]) -> str:
     if "conclusion" in topics:
         return "conclusion"
     if not records.runs:
-        asked = ("study", "slowdown", "random", "consequence", "capability", "trust")
-        return next((id for id in asked if id in topics), "")
+        requested = ("study", "slowdown", "random", "consequence", "capability", "trust")
+        return next((id for id in requested if id in topics), "")
     if records.delayed or records.random:
         return ""
     if _only(records, "replay"):

@@ -31,23 +31,24 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
         id="capability",
         title="Capability",
         lines=tuple(
-            " ".join([*_held(plot), *(_who(plot) if plot.answers else ())]) for plot in plots
+            " ".join([*_state_winds(plot), *(_name_right_solvers(plot) if plot.answers else ())])
+            for plot in plots
         ),
         figures=tuple(figure for plot in plots for figure in _figures(plot)),
     )
 
 
-def _held(plot: Plot) -> Iterator[str]:
+def _state_winds(plot: Plot) -> Iterator[str]:
     """State the least wind held all round, intact and after the worst failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
     failed = plot.edges[plot.edges["case"] != INTACT]
-    said = f"Intact, {plot.vessel} holds at least {_least(intact)}"
+    wording = f"Intact, {plot.vessel} holds at least {_least(intact)}"
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        said += f"; after the loss of {worst['case']} {_least(failed)}"
-    yield f"{said} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+        wording += f"; after the loss of {worst['case']} {_least(failed)}"
+    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
 
 
 def _least(edges: pd.DataFrame) -> str:
@@ -55,13 +56,13 @@ def _least(edges: pd.DataFrame) -> str:
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def _who(plot: Plot) -> Iterator[str]:
+def _name_right_solvers(plot: Plot) -> Iterator[str]:
     """Name the solvers that answer all QPs rightly, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.all_right)
-    asked = f"all {plural(plot.qps, 'QP')} at that edge"
+    qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
-    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {asked} rightly{names}."
+    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
         yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."

@@ -35,7 +35,10 @@ def consequence_topic(records: Records) -> Topic | None:
         id="consequence",
         title="Consequence analysis",
         lines=(
-            *(f"{_when(analysis)} {_who(analysis)}" for analysis in analyses),
+            *(
+                f"{_state_losses(analysis)} {_name_right_solvers(analysis)}"
+                for analysis in analyses
+            ),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
             "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
             + (" The counts of every solver: tables/consequence*.csv." if long else ""),
@@ -69,12 +72,12 @@ def _file_name(analysis: Analysis) -> str:
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _when(analysis: Analysis) -> str:
+def _state_losses(analysis: Analysis) -> str:
     """State which losses can be held when, those of the same answer together."""
-    said: dict[str, list[str]] = {}
+    wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        said.setdefault(_time(of_group), []).append(str(group))
-    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in said.items()]
+        wording.setdefault(_time(of_group), []).append(str(group))
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
     return f"In {analysis.name} {'; '.join(parts)}."
 
 
@@ -93,7 +96,7 @@ def _time(of_group: pd.DataFrame) -> str:
     return f"in {100.0 * share:.0f} % of the time"
 
 
-def _who(analysis: Analysis) -> str:
+def _name_right_solvers(analysis: Analysis) -> str:
     """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.all_right]

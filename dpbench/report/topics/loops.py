@@ -27,14 +27,14 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     }
     most = max(len(runs) for runs in by_name.values())
     right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
-    asked = plural(most, "closed loop")
+    requested = plural(most, "closed loop")
     best = max(whole, key=lambda name: whole[name])
-    lead = f"Nobody is right on every step of {asked}; {best} is in {whole[best]}."
+    lead = f"Nobody is right on every step of {requested}; {best} is in {whole[best]}."
     if right:
         rest = len(by_name) - len(right)
         names = and_list(right) if len(right) <= 4 else f"{len(right)} configurations"
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
-        lead = f"Right on every step of {asked}: {names}.{others if rest else ''}"
+        lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
     rows = [
         {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"} | _control(runs)
         for name, runs in by_name.items()

@@ -15,7 +15,7 @@ from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
-from dpbench.report.words import beside, filled
+from dpbench.report.words import beside, fill_template
 
 CITATION = """@misc{xia_dp_mpc,
   author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
@@ -40,14 +40,14 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     if scenario is None or not laws or not measured:
         return None
     others = {"not": "not reproduced", "the opposite": "opposite"}
-    said = [held_text(measured)]
+    wording = [count_reproduced(measured)]
     for word, state in others.items():
         names = [unmarked(claim.claim) for claim in measured if claim.state == state]
-        said += [f"{word}: “{'”, “'.join(names)}”"] if names else []
+        wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",
-        lines=("; ".join(said) + ".",),
+        lines=("; ".join(wording) + ".",),
         paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
@@ -68,7 +68,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     )
 
 
-def held_text(judged: Sequence[Claim]) -> str:
+def count_reproduced(judged: Sequence[Claim]) -> str:
     """State how many of the measured claims are reproduced."""
     states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
@@ -122,9 +122,11 @@ class Claim:
 
 def claims(records: Records) -> list[Claim]:
     """Judge all claims, in the order of the paper."""
-    asked = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
-    said = _WORDS["found"]
-    return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
+    requested = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
+    wording = _WORDS["found"]
+    return [
+        Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested
+    ]
 
 
 def choices(records: Records) -> list[tuple[str, str]]:
@@ -139,4 +141,4 @@ def choices(records: Records) -> list[tuple[str, str]]:
         "sea": scenario.files["scenario"]["environment"],
         "duration_s": scenario.steps * scenario.sample_s,
     }
-    return [(name, filled(words, **chosen)) for name, words in _WORDS["choices"].items()]
+    return [(name, fill_template(words, **chosen)) for name, words in _WORDS["choices"].items()]

@@ -18,8 +18,8 @@ def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
     """Count the false claims of each solver, the most first, and name solvers without any."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
-    said = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
-    return "; ".join([*said, *([f"none by {and_list(none)}"] if none else [])])
+    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    return "; ".join([*wording, *([f"none by {and_list(none)}"] if none else [])])
 
 
 def random_topic(records: Records) -> Topic | None:

@@ -53,13 +53,13 @@ def routes_topic(records: Records) -> Topic | None:
             tables.append(Table(head, tuple(rows), sequence))
     if not tables:
         return None
-    said = (
+    wording = (
         "How many times as fast a step becomes, median over solvers and sequences: "
         + "; ".join(f"{change} {significant(median(gain))}" for change, gain in gains.items())
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
-    return Topic("routes", "Routes", said, (), tuple(tables))
+    return Topic("routes", "Routes", wording, (), tuple(tables))
 
 
 def _ratio_text(ratio: Interval) -> str:
@@ -80,11 +80,11 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
     )
     if not tables:
         return None
-    said = (
+    wording = (
         _fastest_forms(records, requirements),
         "Median step time of the same QPs in each form; a solver is judged in the common one.",
     )
-    return Topic("formulations", "Formulations", said, (), tuple(tables))
+    return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
@@ -99,11 +99,11 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     )
     if not tables:
         return None
-    said = (
+    wording = (
         _right_levels(records, requirements),
         "Median step time at each settings level, from the library's own to the tightest.",
     )
-    return Topic("levels", "Settings", said, (), tuple(tables))
+    return Topic("levels", "Settings", wording, (), tuple(tables))
 
 
 def _right_levels(records: Records, requirements: Requirements) -> str:
@@ -130,17 +130,17 @@ def race_topic(records: Records) -> Topic | None:
     replays = list(common_replays(records, first, second))
     if len({run.configuration.options for run, *_ in replays}) != 1:
         return None
-    rows, said = [], []
+    rows, wording = [], []
     for run, *both in replays:
         ratio = paired_ratio(*paired(*both))
         options = run.configuration.options
-        said.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
+        wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
         p50 = [time_text(median(times.algo_ns)) for times in both]
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
-    lead = f"{first} takes {', '.join(said)} times as long a step as {second}."
+    lead = f"{first} takes {', '.join(wording)} times as long a step as {second}."
     note = "Geometric mean of the paired ratios of all common steps."
     return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
 
@@ -173,10 +173,10 @@ def _tables(
 def _fastest_forms(records: Records, requirements: Requirements) -> str:
     """Count how often each form is the fastest right one."""
     wins = fastest_forms(records, requirements)
-    said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
+    wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
         "Fastest form with right answers, of "
-        f"{plural(wins.total(), 'configuration')} on a sequence: {said or 'none'}."
+        f"{plural(wins.total(), 'configuration')} on a sequence: {wording or 'none'}."
     )
 
 
@@ -191,8 +191,8 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
 
 def worst_case_topic(records: Records) -> Topic | None:
     """Return the topic on the step that a search found; None where the suite names none."""
-    asked = records.suite.get("report", {})
-    k = asked.get("step")
+    requested = records.suite.get("report", {})
+    k = requested.get("step")
     if k is None:
         return None
     runs = {run.run_id: run for run in records.runs}
@@ -201,9 +201,9 @@ def worst_case_topic(records: Records) -> Topic | None:
     rows = [row for run_id in runs if (row := row_of.get(run_id)) is not None]
     if not rows:
         return None
-    searched = str(asked.get("configuration") or "")
+    searched = str(requested.get("configuration") or "")
     rows.sort(key=lambda row: (row[0] != searched, row[0]))
-    lead = [_said(row, k) for row in rows[:1]]
+    lead = [_state_step(row, k) for row in rows[:1]]
     head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
     return Topic(
         "worst-case",
@@ -231,7 +231,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
     )
 
 
-def _said(row: tuple[str, ...], k: int) -> str:
+def _state_step(row: tuple[str, ...], k: int) -> str:
     name, took, median, iterations, usual, error, answer = row
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     return (

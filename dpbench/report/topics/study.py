@@ -69,14 +69,14 @@ def _separated(study: Study) -> str:
     """Name the configurations with a significantly larger error than the reference."""
     others = study.configurations[1:]
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean(c))
-    said = [f"{c.name} by {significant(100.0 * _mean(c), 2)} cm" for c in worse[:3]]
+    wording = [f"{c.name} by {significant(100.0 * _mean(c), 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"none is significantly behind {study.reference} in the same realisation."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"significantly behind {study.reference} in the same realisation: {', '.join(said)}"
+        f"significantly behind {study.reference} in the same realisation: {', '.join(wording)}"
         f"{unnamed}{rest}."
     )
 
@@ -84,10 +84,10 @@ def _separated(study: Study) -> str:
 def _share(share: float, study: Study) -> str:
     """Format a share in percent; of none or all with its 95 % bound, by the rule of three."""
     bound = 100 * none_of(study.realisations)
-    said = f"{100 * share:.0f} %"
+    wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
-        said += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
-    return said
+        wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
+    return wording
 
 
 def _loosest(study: Study) -> str:
@@ -96,13 +96,13 @@ def _loosest(study: Study) -> str:
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
-    said = (
+    wording = (
         f"The loosest tolerance that costs significantly {limits}: {and_list(parts)}"
         if parts
         else ""
     )
     without = f"No tolerance of {and_list(none)} costs significantly {limits}" if none else ""
-    return ". ".join(filter(None, (said if parts else "", without))) + "."
+    return ". ".join(filter(None, (wording if parts else "", without))) + "."
 
 
 def _figures(study: Study) -> Iterator[Figure]:

@@ -23,7 +23,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
     all_sweeps = sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
-        limit = f"{_by(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"{_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
@@ -50,39 +50,39 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
             tables.append(Table.of(rows, sweep.name))
     if not figures:
         return None
-    said = (
+    wording = (
         *_longest_horizons(all_sweeps, requirements),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
-    return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
+    return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
     """Name the configurations of the longest horizon, a sentence for each scenario."""
-    said = []
+    wording = []
     for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
             if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
         }
-        limit = f"with {_by(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"with {_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
-            said.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
+            wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
         longest = max(largest.values(), key=moves_of)
         who = [name for name, horizons in largest.items() if horizons == longest]
         some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
-        said.append(
+        wording.append(
             f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
             f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
         )
-    return said
+    return wording
 
 
-def _by(sweep: Sweep) -> str:
+def _judging_statistic(sweep: Sweep) -> str:
     """Return the statistic that a horizon is judged by."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
@@ -128,12 +128,12 @@ def slowdown_topic(records: Records) -> Topic | None:
         tables.append(Table.of(list(map(_survival, group.configurations)), group.scenario))
     if not tables:
         return None
-    said = (
+    wording = (
         *map(_survivors, groups),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
-    return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
+    return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
 
 
 def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
@@ -148,5 +148,5 @@ def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
 def _survivors(group: DelayedGroup) -> str:
     survivors = [c for c in group.configurations if c.survives > 0]
     best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
-    said = ", ".join(best) if best else "nobody survives a slow-down"
-    return f"Slower computers, {group.scenario}: {said}."
+    wording = ", ".join(best) if best else "nobody survives a slow-down"
+    return f"Slower computers, {group.scenario}: {wording}."

@@ -125,13 +125,13 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     steering = steering_of(records, requirements)
     if not steering.with_thrusters:
         return None
-    first = [_use(chosen, requirements), _others(steering)]
+    first = [_name_solver(chosen, requirements), _compare_with_forces(steering)]
     second = [*_after_a_loss(records, chosen, requirements), *_consequence(records, chosen)]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _use(chosen: Verdict | None, requirements: Requirements) -> str:
+def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
     """Name the solver to use, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
@@ -144,19 +144,19 @@ def _use(chosen: Verdict | None, requirements: Requirements) -> str:
     return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
 
 
-def _others(steering: Steering) -> str:
+def _compare_with_forces(steering: Steering) -> str:
     """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
     before = steering.fine_with_forces
     if not before:
         fine, run = len(steering.fine), len(steering.with_thrusters)
-        said = [f"{fine} of {plural(run, 'solver')} {_pass(fine)}"]
-        said = said if fine else ["no solver that was run is known to pass"]
+        wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
+        wording = wording if fine else ["no solver that was run is known to pass"]
         missing, unknown = steering.missing, steering.undecided
-        said += [f"not so: {_by_fault(steering, missing)}"] if missing else []
-        said += [f"inconclusive: {and_list(unknown)}"] if unknown else []
-        return f"{said[0].capitalize()}{'; '.join(['', *said[1:]])}."
+        wording += [f"not so: {_by_fault(steering, missing)}"] if missing else []
+        wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
+        return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
     lost, where = steering.only_with_forces, and_list(list(steering.forces))
-    head = f"Of {plural(len(before), 'solver')} that {_pass(len(before))} with "
+    head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
     head += f"three forces ({where})"
     if not lost:
         return f"{head}, none fails with thrusters."
@@ -164,7 +164,7 @@ def _others(steering: Steering) -> str:
     return f"{head}, {len(lost)} {fail} with thrusters: {_by_fault(steering, lost)}."
 
 
-def _pass(count: int) -> str:
+def _pass_verb(count: int) -> str:
     return "passes" if count == 1 else "pass"
 
 
@@ -194,24 +194,24 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     analyses = consequence_analyses(records)
     if not analyses:
         return
-    yield f"{', '.join(map(_end, analyses)).capitalize()}."
+    yield f"{', '.join(map(_state_end, analyses)).capitalize()}."
     own = in_all(analyses)
     right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
-    said = ["nobody answers all of that rightly"]
+    wording = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
         share = of_sample_text(timed[best])
-        said = [f"to know so at every sample takes {best} at most {share} of a sample"]
+        wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
     label = "" if chosen is None else _of_batches(chosen, own)
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
-        asked = plural(sum(a.asked for a in own[label]), "QP")
-        said.append(f"{label} leaves {wrong} of {asked} without a right answer")
+        requested = plural(sum(a.asked for a in own[label]), "QP")
+        wording.append(f"{label} leaves {wrong} of {requested} without a right answer")
     missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
-    said += [f"alarms are missed by {and_list(missing)}"] if missing else []
-    yield f"{said[0][0].upper()}{'; '.join(said)[1:]}."
+    wording += [f"alarms are missed by {and_list(missing)}"] if missing else []
+    yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
 
 
 def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:
@@ -226,7 +226,7 @@ def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:
     return next((name for name in known if name in names), "")
 
 
-def _end(analysis: Analysis) -> str:
+def _state_end(analysis: Analysis) -> str:
     """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())

@@ -56,10 +56,10 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
-    said = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
+    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(said)} (p50 of the timings that count, the largest of "
+        f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
     )
 
@@ -97,8 +97,8 @@ def trust_topic(records: Records) -> Topic | None:
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
-        asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
-        table = pd.DataFrame(asked, columns=["name", "x", "y"])
+        requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
+        table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:

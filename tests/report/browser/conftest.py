@@ -111,7 +111,9 @@ class Opener:
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on(
             "console",
-            lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else 0,
+            lambda output: (
+                self.errors.append(output.text) if output.type in ("error", "warning") else 0
+            ),
         )
         page.on("request", lambda request: self.requests.append(request.url))
         page.goto(f"{self.file.as_uri()}{fragment}")

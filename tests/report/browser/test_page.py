@@ -153,8 +153,8 @@ def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int,
     page = opened(size=size)
     row = page.evaluate("rowsDrawn('ladder').values.at(-1)")
     name = page.locator("#figure-ladder text", has_text=row["solver"]).last
-    said = name.text_content()
-    assert said.replace(", ", " ").replace("(", "").startswith(row["solver"] + " ")
+    output = name.text_content()
+    assert output.replace(", ", " ").replace("(", "").startswith(row["solver"] + " ")
     click_middle(page, name)
     page.wait_for_function(f"state.c === {row['id']}")
 
@@ -235,12 +235,12 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
 
 def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) -> None:
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
-    said = page.inner_text("#step-said")
+    output = page.inner_text("#step-said")
     number = r"([\d.e-]+)"
     ship = re.search(
         rf"Ship(?: at k (\d+), the nearest kept)?: {number} m north, {number} m east, "
         rf"heading {number}°; surge {number} %",
-        said,
+        output,
     )
     k = int(ship[1] or 74)
     assert abs(k - 74) < page.evaluate("trackOf(cell(state.c, state.p)).every")
@@ -256,11 +256,11 @@ def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) ->
 def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: Path) -> None:
     """Whatever experiment is chosen; its lines give the p99 that the page names."""
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
-    said = page.inner_text("#data-query")
-    run = re.search(r'"run_id", "==", "(\w+)"', said)
-    assert run and "(replay)" in said
+    output = page.inner_text("#data-query")
+    run = re.search(r'"run_id", "==", "(\w+)"', output)
+    assert run and "(replay)" in output
     steps = pd.read_parquet(campaign / "steps.parquet", filters=[("run_id", "==", run[1])])
-    (total,) = (line.partition("= ")[2] for line in said.splitlines() if "total_ns = " in line)
+    (total,) = (line.partition("= ")[2] for line in output.splitlines() if "total_ns = " in line)
     total_ns = eval(total, {"steps": steps})
     p99_us = total_ns[steps.counts].groupby(steps.k).min().quantile(0.99) / 1e3
     assert f"p99 {page.evaluate(f'time({1e3 * p99_us})')}" in page.inner_text("#chosen")
@@ -287,8 +287,8 @@ def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
     for solver in ("daqp", "osqp"):
         records.replay(solver, steps=200)
     with opening(chromium, write_report(records.write(tmp_path / "replays"))) as opened:
-        said = opened("#slow=2").inner_text("#slow-kept")
-    assert "2 of the 2 that nothing contradicts here keep the deadline of 300 ms" in said, said
+        output = opened("#slow=2").inner_text("#slow-kept")
+    assert "2 of the 2 that nothing contradicts here keep the deadline of 300 ms" in output, output
 
 
 def test_a_bound_is_never_rounded_up(opened: Any) -> None:
@@ -315,11 +315,11 @@ def test_the_speed_margin_decides_everywhere_on_a_slower_computer(
         bounds[int(row["id"])] = margin.factor
     right = [row for row in drawn if row["verdict"] == "pass"]
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
-    said = page.inner_text("#slow-kept")
-    assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in said
+    output = page.inner_text("#slow-kept")
+    assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in output
     assert len(right) < len(drawn)
     named = [f"{r['solver']} (× {rounded_down(bounds[int(r['id'])])})" for r in keep]
-    assert all((name in said) == (slow > 1 or len(keep) <= 6) for name in named)
+    assert all((name in output) == (slow > 1 or len(keep) <= 6) for name in named)
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
         "(all) => all.map((one) => one.getAttribute('aria-label'))"
     )
@@ -333,17 +333,17 @@ def test_the_speed_margin_decides_everywhere_on_a_slower_computer(
     assert slow == 1 or all(re.search(measured, label) for label in labels)
     for c, bound in bounds.items():
         page.evaluate(f"select({{ c: {c} }})")
-        said = page.inner_text("#slow-kept")
-        assert (": up to × " in said) == (bound >= slow)
-        assert (": late beyond × " in said) == (bound < slow)
+        output = page.inner_text("#slow-kept")
+        assert (": up to × " in output) == (bound >= slow)
+        assert (": late beyond × " in output) == (bound < slow)
 
 
 def test_reload_and_back_restore(opened: Any) -> None:
     page = opened(CHOSEN + "&slow=50")
     assert page.input_value("#choose-solver") == "piqp"
     assert page.input_value("#slow-said") == "50"
-    said = page.inner_text("#step-said")
-    assert said.startswith("Step 74:")
+    output = page.inner_text("#step-said")
+    assert output.startswith("Step 74:")
     page.select_option("#choose-solver", "scs")
     page.wait_for_function("location.hash.includes('s=scs')")
     page.reload()
@@ -352,7 +352,7 @@ def test_reload_and_back_restore(opened: Any) -> None:
     page.go_back()
     page.wait_for_function("document.getElementById('choose-solver').value === 'piqp'")
     wait_for_strips(page)
-    assert page.inner_text("#step-said") == said
+    assert page.inner_text("#step-said") == output
     assert page.input_value("#slow-said") == "50"
 
 
@@ -362,8 +362,8 @@ def test_another_solver_shows_the_same_step(opened: Any) -> None:
     page.wait_for_function("location.hash.includes('s=daqp')")
     wait_for_strips(page)
     assert selection(page)["k"] == "74"
-    said = page.inner_text("#step-said")
-    assert said.startswith("Step 74:") and "it said “solved”; its answer is right" in said
+    output = page.inner_text("#step-said")
+    assert output.startswith("Step 74:") and "it said “solved”; its answer is right" in output
 
 
 def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
@@ -468,11 +468,11 @@ def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -
 def test_two_solvers_are_compared(opened: Any) -> None:
     page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
     assert rows_in(page, "pairs", "pairs") > 100
-    said = page.inner_text("#two-said")
-    ratio = re.search(r"takes ([\d.]+) times as long", said)
-    assert said.startswith("piqp (")
+    output = page.inner_text("#two-said")
+    ratio = re.search(r"takes ([\d.]+) times as long", output)
+    assert output.startswith("piqp (")
     assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
-    assert re.search(r"over \d+ steps of paper \(replay\)", said)
+    assert re.search(r"over \d+ steps of paper \(replay\)", output)
     for name, title in (("first", "piqp ("), ("second", "daqp (")):
         named = page.evaluate(f"views.pairs.then((view) => view.signal('{name}'))")
         assert named.startswith(title) and named.endswith("[µs]")
@@ -573,8 +573,8 @@ def test_late_is_not_wrong(opened: Any) -> None:
         assert page.locator("#figure-ladder text", has_text=text).count() == 1
     signs = page.locator("#figure-matrix .mark-text text").all_text_contents()
     assert "✕" in signs
-    said = page.inner_text("#matrix > p")
-    assert "Fail: " in said and "Late: " in said
+    output = page.inner_text("#matrix > p")
+    assert "Fail: " in output and "Late: " in output
 
 
 def test_the_matrix_shows_another_way(opened: Any) -> None:
@@ -637,8 +637,8 @@ def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
         assert page.locator(part).first.is_visible(), part
     assert page.evaluate("document.documentElement.scrollWidth") <= 710
     controls = [one for one in page.locator("select, input, button").all() if one.is_visible()]
-    said = [one.inner_text() for one in controls]
-    assert [text for text in said if not re.search(r"\bk \d+: ", text)] == [], "steps alone"
+    output = [one.inner_text() for one in controls]
+    assert [text for text in output if not re.search(r"\bk \d+: ", text)] == [], "steps alone"
     ink = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink')")
     assert ink.strip() == "#1d2733"
 
@@ -648,8 +648,8 @@ def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
     page = opened()
     before = page.locator(whiskers).count()
     assert before > 3
-    said = page.locator("#figure-ladder text", has_text="as measured")
-    assert said.count() == 0, "nothing is scaled there"
+    output = page.locator("#figure-ladder text", has_text="as measured")
+    assert output.count() == 0, "nothing is scaled there"
     caption = page.locator("#answer figcaption").inner_text()
     assert "dashed: largest single timing, as measured" in caption
     page = opened("#slow=10000")

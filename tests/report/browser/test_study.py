@@ -100,10 +100,10 @@ def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
     marked = [row for row in _rows(page, "behind", "seas") if row["chosen"]]
     assert [(row["name"], row["replicate"]) for row in marked] == [("osqp", 3)]
     assert marked[0]["behind_cm"] == pytest.approx(0.6)
-    said = page.inner_text("#study-said")
+    output = page.inner_text("#study-said")
     page.reload()
     wait_until_ready(page)
-    assert page.inner_text("#study-said") == said
+    assert page.inner_text("#study-said") == output
     page.go_back()
     page.wait_for_function("document.getElementById('study-sea').value === '4'")
     assert selection(page)["set"] == LOOSE

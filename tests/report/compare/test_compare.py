@@ -19,7 +19,7 @@ from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
-from dpbench.report.compare.comparison import _together
+from dpbench.report.compare.comparison import _merge_verdicts
 from dpbench.report.compare.page import write_comparison
 from tests.report.conftest import run_row
 from tests.result_folder import write_results
@@ -125,18 +125,18 @@ def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> No
     b = make("b", seed=2, slow=slow, loop={"r_rms_m": 0.4}, errors={"osqp": 0.5})
     found = compare(a, b)
     first = found.tables[0]
-    said = {row[0]: (row[1], row[2]) for row in first.rows}
-    assert said["piqp"][0] == "slower" and said["scs"][0] == "faster"
-    assert said["osqp"] == ("equivalent", "worse")
+    output = {row[0]: (row[1], row[2]) for row in first.rows}
+    assert output["piqp"][0] == "slower" and output["scs"][0] == "faster"
+    assert output["osqp"] == ("equivalent", "worse")
     steered = set(found.answers[found.answers["figure"] == "r_rms_m"]["solver"])
-    assert {solver for solver, words in said.items() if words[1] == "worse"} == steered | {"osqp"}
+    assert {solver for solver, words in output.items() if words[1] == "worse"} == steered | {"osqp"}
 
 
 def test_one_configuration_slower_and_one_faster_are_both_said() -> None:
     order = ("slower", "faster", "no difference shown", "equivalent")
-    assert _together(Counter(slower=1, faster=2, equivalent=3), order) == "slower and faster"
-    assert _together(Counter({"no difference shown": 1, "equivalent": 9}), order) == order[2]
-    assert _together(Counter(), order) == "–"
+    assert _merge_verdicts(Counter(slower=1, faster=2, equivalent=3), order) == "slower and faster"
+    assert _merge_verdicts(Counter({"no difference shown": 1, "equivalent": 9}), order) == order[2]
+    assert _merge_verdicts(Counter(), order) == "–"
 
 
 @pytest.mark.slow
@@ -184,12 +184,12 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     b = make("b", seed=2, machine=1.496, **({"reference_kernel_ns": 1.025 * 5e4} | after))
     page = tmp_path / "compare.md"
     assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 0
-    said = f"{reason}, so this is not judged"
+    output = f"{reason}, so this is not judged"
     # Lines of 80 columns in a terminal; one line in Markdown.
     for text in (capsys.readouterr().out, page.read_text(encoding="utf-8")):
         words = " ".join(text.split())
-        assert words.count(said) == 1
-        before = words[: words.index(said)]
+        assert words.count(output) == 1
+        before = words[: words.index(output)]
         assert "rose together by a factor 1.49" in before[-200:]
     (shared,) = compare(a, b).shared
     assert shared.assessment is None
@@ -337,9 +337,11 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(make: Make, capsys: 
     a = make("a", seed=1)
     b = make("b", seed=2, machine_id="two", machine=3.0, slow={"osqp": 6.0})
     assert main(["compare", str(a), str(b)]) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    assert "step times are compared as ratios to daqp (native fresh), which takes B/A 3 on" in said
-    assert "another machine: they differ in kernel" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert (
+        "step times are compared as ratios to daqp (native fresh), which takes B/A 3 on" in output
+    )
+    assert "another machine: they differ in kernel" in output
     assert main(["compare", str(a), str(b), "--any-machine"]) == 1
     assert "no longer needed" in capsys.readouterr().err
     found = compare(a, b)
@@ -482,5 +484,5 @@ def test_another_build_of_the_same_version_is_said() -> None:
     rows = [identity("replay", "hpipm", {"build": build}) for build in builds]
     generic, fast = records_of(as_runs(pd.DataFrame(rows)))
     assert Pair(generic, generic).label.startswith("hpipm (")
-    said = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
-    assert Pair(generic, fast).label.startswith(said)
+    output = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
+    assert Pair(generic, fast).label.startswith(output)

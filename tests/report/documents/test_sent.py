@@ -57,8 +57,8 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     assert "figures/" not in page and "tables/runs.csv" not in page
     assert sum(path.stat().st_size for path in sent.iterdir()) < MOST_BYTES / 2
     assert main(["check", str(sent)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "4 runs of 2 solvers" in said and "by Ada, 2026-11-22" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "4 runs of 2 solvers" in output and "by Ada, 2026-11-22" in output
 
 
 @pytest.mark.slow
@@ -81,15 +81,15 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
 
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
-    from dpbench.report.documents.sent import prepare
+    from dpbench.report.documents.sent import prepare_folder
 
-    prepare(written.folder, copy)
+    prepare_folder(written.folder, copy)
     assert (copy / SENDER).read_text("utf-8") == SIGNED
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("", encoding="utf-8")
     for place in (tmp_path / "other", written.folder):
         with pytest.raises(ValueError, match=r"--send: found .*a folder of its own"):
-            prepare(written.folder, place)
+            prepare_folder(written.folder, place)
 
 
 def _edit(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
@@ -174,8 +174,8 @@ def test_a_page_that_runs_or_loads_something_is_refused(
     line = page[: page.index(old)].count("\n") + 1
     (copy / "report.html").write_text(page.replace(old, new, 1), encoding="utf-8")
     assert main(["check", str(copy)]) == 2
-    (said,) = capsys.readouterr().err.strip().splitlines()
-    assert f"report.html: line {line}: found" in said and found in said, said
+    (output,) = capsys.readouterr().err.strip().splitlines()
+    assert f"report.html: line {line}: found" in output and found in output, output
 
 
 @pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)

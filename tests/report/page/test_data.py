@@ -61,10 +61,10 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
+    ("value", "output"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
-def test_numbers_are_such_as_json_has(value: Any, said: Any) -> None:
-    assert number(value) == said
+def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
+    assert number(value) == output
 
 
 def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
@@ -78,14 +78,14 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     records._scenarios["robot"] = records.scenario("rough")
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
-    said = {word.term: word.meaning for word in experiment_words(facts).values()}
+    output = {word.term: word.meaning for word in experiment_words(facts).values()}
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
-    assert said["rough"] == f"{start} 6-7."
-    assert said["rough (in N and N·m)"].startswith(start)
-    assert said["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
+    assert output["rough"] == f"{start} 6-7."
+    assert output["rough (in N and N·m)"].startswith(start)
+    assert output["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
     window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
-    assert window in said["rough[900:1400] (replay)"]
-    assert list(said) == [p.label for p in facts.experiments if p.name != "robot"]
+    assert window in output["rough[900:1400] (replay)"]
+    assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
 
 
 def _of_window(records: Any) -> str:
@@ -103,8 +103,10 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
-    said = _matrix_text(facts)
-    assert "The 2 of 4 scenarios and replays with the fewest passes" in said and "N·m" not in said
+    output = _matrix_text(facts)
+    assert (
+        "The 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
+    )
     monkeypatch.undo()
     records.loop("daqp", units="si")
     assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")

@@ -19,7 +19,7 @@ from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hashes
 from dpbench.report.page.vendored import Vendored, digest, script, vendored
-from dpbench.report.page.write import SCRIPTS, own, software_citation
+from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
 from tests.report.conftest import of_seas
@@ -32,7 +32,7 @@ import sys
 from dpbench.report.write import report_and_ending
 report_and_ending(sys.argv[1], figures=("pdf",))
 """
-JS = "".join(own(f"scripts/{name}.js") for name in SCRIPTS)
+JS = "".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)
 
 
 class Checker(HTMLParser):
@@ -183,12 +183,12 @@ def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any)
 
 
 def test_citations_are_those_of_the_citation_file(written: Any) -> None:
-    said = [
+    output = [
         line.strip().removeprefix("- ").split(": ", 1)
         for line in CITATION.read_text(encoding="utf-8").splitlines()
     ]
     of: dict[str, list[str]] = {}
-    for name, *values in said:
+    for name, *values in output:
         of.setdefault(name, []).extend(value.strip('"') for value in values)
     entry = software_citation(written.results)
     title, of_the_paper = of["title"]

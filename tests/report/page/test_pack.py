@@ -163,9 +163,9 @@ def test_arrays_of_one_block_do_not_touch_each_other(
 ) -> None:
     block = Block()
     numbers = [block.flag(flags), *(block.log(array) for array in arrays), block.count([3, 1])]
-    document, found = unpacked(block.text({"said": "µs ≥ 1"}))
+    document, found = unpacked(block.text({"output": "µs ≥ 1"}))
     assert numbers == list(range(len(arrays) + 2))
-    assert document["said"] == "µs ≥ 1"
+    assert document["output"] == "µs ≥ 1"
     assert found[0] == [float(flag) for flag in flags]
     assert [len(array) for array in found[1:-1]] == [len(array) for array in arrays]
     assert found[-1] == [3.0, 1.0]

@@ -40,24 +40,26 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     chosen = choose_solver(verdicts).chosen
     assert chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
-    terminal = "\n".join(said for _, said in written.lines)
+    terminal = "\n".join(output for _, output in written.lines)
     margin = written.report.data.margin(chosen.configuration)
-    for said in (page, text, terminal):
-        assert "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in said
-        assert f"p99 {time_text(chosen.p99_ns)}" in said
-        assert error_text(chosen.error_move) in said
-        assert f"The computer may be up to × {rounded_down(margin.factor)} slower." in said
-        assert f"The p99 reaches 3 ms at × {rounded_down(margin.p99_limit)}: it is " in said
+    for output in (page, text, terminal):
+        assert (
+            "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in output
+        )
+        assert f"p99 {time_text(chosen.p99_ns)}" in output
+        assert error_text(chosen.error_move) in output
+        assert f"The computer may be up to × {rounded_down(margin.factor)} slower." in output
+        assert f"The p99 reaches 3 ms at × {rounded_down(margin.p99_limit)}: it is " in output
         deadline = rounded_down(margin.deadline)
-        assert f"The hardest step takes the deadline of 300 ms at × {deadline}: it is " in said
+        assert f"The hardest step takes the deadline of 300 ms at × {deadline}: it is " in output
         for step in (margin.p99, margin.hardest):
             where = f"{time_text(step.time_ns)} in {step.run.scenario}, k {step.k} ("
-            assert where in said
-    said = dict(written.lines)
-    assert "native warm" not in said["answer"], (
+            assert where in output
+    output = dict(written.lines)
+    assert "native warm" not in output["answer"], (
         "a call mode that was replayed alone is not recommended"
     )
-    assert said["inconclusive"].startswith(
+    assert output["inconclusive"].startswith(
         "daqp (native warm) is faster on average, and inconclusive: not run"
     )
 
@@ -115,11 +117,11 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     records.loop("osqp", "paper", units="si")
     answer = _answer(records)
     assert answer.first is not None and answer.first.policy == "warm"
-    said = next(chip for chip in answer.chips if "N·m" in chip.text)
-    assert said.text == (
+    output = next(chip for chip in answer.chips if "N·m" in chip.text)
+    assert output.text == (
         "paper (in N and N·m): not run in this call mode (qpsolvers fresh pass; native reuse fail)"
     )
-    assert said.mark == "none"
+    assert output.mark == "none"
 
 
 def test_open_is_not_recommended(records: Any) -> None:
@@ -191,17 +193,17 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
-    said = "of 2 closed loops and 1 replay (3 steps had no solution, and it said so), p99"
-    assert said in _answer(records).sentence
+    output = "of 2 closed loops and 1 replay (3 steps had no solution, and it said so), p99"
+    assert output in _answer(records).sentence
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
     assert "(5 steps had no solution), p99" in _answer(records).sentence
     records.loop("osqp")
     assert _facts(records).without_solution(_facts(records).configurations[-1]) == (0, True)
 
 
-@pytest.mark.parametrize(("shortest_us", "said"), [(20, True), (5, False), (None, False)])
+@pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])
 def test_a_p50_below_the_shortest_checked_wait_is_said(
-    records: Any, shortest_us: int | None, said: bool
+    records: Any, shortest_us: int | None, output: bool
 ) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=9.0)
@@ -209,7 +211,7 @@ def test_a_p50_below_the_shortest_checked_wait_is_said(
         name = f"busy_wait_{wait_us}us"
         records.replay(name, median_us=wait_us + 0.2, route="native", policy="reuse")
     note = dict(_answer(records).notes).get("checked", "")
-    assert ("lies below the shortest wait checked, 20.0 µs." in note) == said == bool(note)
+    assert ("lies below the shortest wait checked, 20.0 µs." in note) == output == bool(note)
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:

@@ -279,7 +279,7 @@ def test_every_figure_is_a_valid_specification(written: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "output"),
     [
         ("--figures gif", "--figures: found 'gif'; allowed: svg | pdf | png"),
         (
@@ -289,10 +289,10 @@ def test_every_figure_is_a_valid_specification(written: Any) -> None:
     ],
 )
 def test_a_bad_option_writes_nothing(
-    records: Any, tmp_path: Path, capsys: Any, options: str, said: str
+    records: Any, tmp_path: Path, capsys: Any, options: str, output: str
 ) -> None:
     records.loop("daqp", steps=20)
     out = records.write(tmp_path / "out")
     assert main(["report", str(out), *options.split()]) == 2
-    assert capsys.readouterr().err == f"dpbench: {said}\n"
+    assert capsys.readouterr().err == f"dpbench: {output}\n"
     assert not (out / "report.html").exists() and not (out / "report.md").exists()
