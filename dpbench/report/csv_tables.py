@@ -27,7 +27,6 @@ from dpbench.report.words import beside, document
 LEGEND = "README.md"
 TABLES: dict[str, str] = beside(__file__)["tables"]
 COLUMNS: dict[str, str] = beside(__file__)["columns"]
-"""Meanings of tables and of their columns."""
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 

@@ -8,9 +8,8 @@ from decimal import ROUND_DOWN, ROUND_UP, Decimal
 from typing import Any
 
 MISSING = "–"
-"""Stands where there is no number."""
 NO_ANSWER = "no answer"
-"""Stands for an infinite error: a step without any answer."""
+"""Stands for an infinite error."""
 
 
 def time_text(nanoseconds: float) -> str:

@@ -31,9 +31,9 @@ from dpbench.report.topics.all import topics_of
 from dpbench.report.verdict_text import counted
 
 TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
-"""The notes of the recommendation that are worth a line on a terminal."""
+"""Notes of the recommendation on a terminal."""
 BESIDE = ("slowdown", "random", "consequence")
-"""Topics that have a line of their own there where they are not the answer."""
+"""Topics with a line of their own on a terminal where they are not the answer."""
 
 
 @dataclass(frozen=True, eq=False)

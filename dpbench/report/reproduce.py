@@ -26,10 +26,10 @@ from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
 RUNS = "runs"
-"""The folder of the runs, a result folder like any other, within that of the reproduction."""
+"""Result folder within that of the reproduction."""
 FORMATS = ("pdf", "svg")
 MOST_NAMED = 4
-"""So many claims that are not reproduced are named on the terminal."""
+"""Number of claims named on the terminal that are not reproduced."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ _BLOCK = re.compile(r"^(?=#{1,6}(\s|$)|>|```|~~~|[-+*]\s|[-_*=]{3})")
 _NOT_SHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Categories of characters that end a line, turn its direction or cannot be written."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""What a spreadsheet takes for the beginning of a formula."""
+"""First characters of a formula in a spreadsheet."""
 
 
 def one_line(text: str) -> str:

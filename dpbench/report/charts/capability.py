@@ -18,12 +18,12 @@ COLUMNS = ("case", "from_deg", "wind_mps", "number")
 SIZE = 380
 _OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
 _RING_CORNERS = 91
-"""Of the polygon that is drawn as a ring: every 4°, the first again at the end."""
+"""Corners of the polygon of a ring: every 4°, the first again at the end."""
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
-"""DP capability numbers whose winds are drawn as rings; below they lie too close."""
+"""DP capability numbers with a ring; lower ones are too close to each other."""
 _SPOKES_DEG = range(0, 360, 30)
 _BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
-"""Directions between two spokes: the rings are named along one of them."""
+"""Directions between two spokes, one of which has the names of the rings."""
 _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
@@ -73,7 +73,6 @@ def rose(table: pd.DataFrame, title: str) -> Any:
 
 
 Place = dict[str, Any]
-"""The axes of a point."""
 
 
 def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
@@ -174,7 +173,7 @@ def answers(table: pd.DataFrame, title: str) -> Any:
 
 _STATES = {HELD: style.PASS, LOST: style.FAIL, UNKNOWN: style.INCONCLUSIVE}
 _NAMED = 0.45
-"""A span of at least this share of the whole says its state in words."""
+"""Least share of the whole axis of a span that has room for the name of its state."""
 
 
 def spans(table: pd.DataFrame, title: str) -> Any:

@@ -18,10 +18,8 @@ TILE_COLUMNS = (
     *("error", "failed", "id", "experiment_id", "detail"),
 )
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
-"""Of the states."""
 MOST_ACROSS = 30
-"""Experiments side by side of a settings level, and twice as many of all levels; more would leave
-no room for a name."""
+"""Columns of a settings level, and half those of all levels, that leave room for names."""
 _HEADER = alt.Header(
     labelFontSize=13,
     labelFontWeight=600,
@@ -30,7 +28,6 @@ _HEADER = alt.Header(
     labelOrient="top",
     labelAngle=0,
 )
-"""Of the tiles of a settings level."""
 
 
 def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
@@ -101,10 +98,10 @@ POINT_COLUMNS = (
     *("error", "p50_us", "p99_us", "verdict"),
 )
 FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
-"""How full a point is, by what is said of its configuration."""
+"""Opacity of a point by verdict."""
 _LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.PAPER}
 _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
-"""Of each legend: three of them stand side by side on a phone."""
+"""Three legends are side by side on a phone."""
 _FIGURES = (
     "verdict:N",
     style.tip("error:Q", digits=2),
@@ -183,9 +180,9 @@ def _fullness() -> Any:
 LOWEST_MS = 1e-3
 """Left end of the axis."""
 ROOM = 300
-"""A figure of so many pixels has room for the limits in full."""
+"""Least width of a figure with the names of the limits in full [px]."""
 _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine, ') + 'as measured'"
-"""What is said of the whiskers on a slower computer."""
+"""Remark on the whiskers on a slower computer."""
 
 
 def _state() -> str:

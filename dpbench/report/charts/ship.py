@@ -16,7 +16,7 @@ from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
 
 CORNERS = 73
-"""Of the polygon that is drawn as a circle: every 5°, the first again at the end."""
+"""Corners of the polygon of a circle: every 5°, the first again at the end."""
 DRAWN_FORCES = (
     ("surge", "x", "N", 1e3, "kN"),
     ("sway", "y", "N", 1e3, "kN"),
@@ -24,7 +24,7 @@ DRAWN_FORCES = (
 )
 _WIDTH = 285
 MOST_TOGETHER = 4800
-"""So many points of all runs a figure draws: a notebook refuses tables of more than 5000 rows."""
+"""Points of all runs in a figure: a notebook refuses tables of more than 5000 rows."""
 
 
 def path(laws: Sequence[Law], scenario: Scenario) -> Any:

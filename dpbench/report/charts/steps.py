@@ -12,7 +12,7 @@ from dpbench.report.charts import style
 
 COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
 NO_ANSWER = 1e9
-"""What an infinite error is drawn as: JSON has no infinity, and the axis ends below."""
+"""Stands for an infinite error: JSON has no infinity, and the axis ends below."""
 _WIDTH = 620
 
 

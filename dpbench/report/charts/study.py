@@ -11,9 +11,8 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 HELD = ("all held", "some held", "none held")
-"""What is said of the seas at a point."""
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
-"""The states whose looks these have."""
+"""States with the same looks."""
 _SIDE = 110
 _HELD = "share of seas held"
 _CHOSEN = "datum.chosen"

@@ -15,9 +15,8 @@ LATE, BORDERLINE = "#6b4fa3", "#4d7c0f"
 STATE_COLOURS = (PASS, BORDERLINE, INCONCLUSIVE, LATE, FAIL, NOT_RUN)
 """In the order of `analysis.verdict.findings.STATES`."""
 FILLS = ("#d7efe6", "#e9f2cf", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
-"""Tiles of the states."""
 STATE_SHAPES = ("circle", "triangle-up", "diamond", "triangle-right", "cross", "square")
-"""Colour and shape say the same, so that neither is needed to read a figure."""
+"""Shapes repeat the colours, so that either suffices to read a figure."""
 FAMILY_COLOURS = {
     "active set": "#0072b2",
     "interior point": "#d55e00",
@@ -29,12 +28,10 @@ FAMILY_COLOURS = {
 }
 """Colour-blind safe (Okabe and Ito, Color Universal Design, 2008)."""
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#8c510a")
-"""The same for lines, whatever they stand for."""
 FLOOR = 1e-16
-"""Errors below it are drawn at it."""
+"""Smaller errors are drawn here."""
 NAMES = "names"
-"""A layer of points so called has names: the field `solver`, beside its point where it covers no
-other name and left out where there is no room."""
+"""Layer with labels of the field `solver`, left out where there is no room."""
 
 
 def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
@@ -61,7 +58,7 @@ def narrow() -> alt.Parameter:
 
 
 ROW_STEP = {"wide": 22, "narrow": 36}
-"""Height of a row with a name, by whether the name stands beside or above what is drawn [px]."""
+"""Height of a row, with its name beside or above the marks [px]."""
 
 
 def row_names(limit: int = 260, **options: Any) -> alt.Axis:

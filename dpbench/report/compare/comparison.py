@@ -43,11 +43,10 @@ from dpbench.report.machine_verdict import verdict_text
 from dpbench.report.table import Table, document, html
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
-"""Verdicts on a step time: the two claims, then what claims less."""
+"""Verdicts on a step time: the two claims, then the weaker ones."""
 
 
 CHANGES = ("worse", "better", "same", "not comparable")
-"""Verdicts on a figure of accuracy or control, likewise."""
 STOPPED = "not comparable (stopped by a time limit)"
 
 
@@ -201,7 +200,6 @@ def _figure_text(column: str, value: float) -> str:
 
 
 LISTED = 5
-"""So many cells without a partner are named."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,12 +25,11 @@ from dpbench.report.page.write import figure_markup, read_page_file, render_page
 from dpbench.report.table import Table
 
 SHOWN = 12
-"""So many of the slowest and of the fastest are drawn whatever is said of them; all of them are in
-the table below."""
+"""Number of the slowest and of the fastest in the figure; the table has all."""
 MOST_ROWS = 40
-"""So many rows of a table stand on the page before any script has run."""
+"""Rows of a table on the page before any script has run."""
 LEFT_OUT = ("B/A", "steps × rounds")
-"""Columns of the table of times that the page has no room for."""
+"""Columns of the table of times without room on the page."""
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:

@@ -34,7 +34,7 @@ from dpbench.report.page.write import figure_markup, render_page
 from dpbench.report.table import Table, document
 
 BUSY = 0.05
-"""A load kernel that changed by more says that the machine was busier in one of two runs."""
+"""Relative change of the load kernel that shows a busier machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def _tables(histories: Histories) -> list[Table]:
 
 
 BEFORE = ("to the one before", "load kernel")
-"""Columns about the release before."""
+"""Columns on the release before."""
 
 
 def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
@@ -214,9 +214,8 @@ def _time(value: float, histories: Histories) -> str:
 
 AGES = {0: "newest release", 1: "earlier release"}
 _WIDTH = 260
-"""Narrow enough for a telephone, names included."""
+"""Narrow enough for a phone, names included."""
 MOST_PANELS = 4
-"""So many problems are drawn; all of them are in the tables."""
 
 
 def write_releases(path: Path, releases: Releases) -> Path:

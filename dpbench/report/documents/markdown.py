@@ -28,7 +28,7 @@ from dpbench.report.table import markdown, markdown_line, markdown_text, one_lin
 from dpbench.report.verdict_text import answer_text, clauses, paired_text, requirements_text
 
 MOST_BYTES = 8000
-"""A comment on a pull request is read when it is one screen or two."""
+"""One or two screens."""
 HEAD = (
     *(
         "solver",
@@ -110,11 +110,11 @@ def cut(text: str, most_bytes: int, elsewhere: str) -> str:
 
 
 USUAL = ("osqp", "daqp")
-"""Whom a solver is set beside, where nobody is named."""
+"""Solvers to compare with by default."""
 COMMENT_BYTES = 3000
-"""A comment that is read without scrolling."""
+"""One screen."""
 MOST_CONFIGURATIONS = 3
-"""So many configurations of the solver itself have a row."""
+"""Rows of the solver itself."""
 
 
 def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str, list[WorstStep]]:

@@ -49,7 +49,7 @@ _ATTRIBUTES = re.compile(
     r"xmlns:xlink|y|y1|y2|gradientunits"
 )
 _WORDS = re.compile(r"(?:aria|data)-[\w-]+|alt|class|id|name|title|value|for")
-"""Attributes that are read by people or by name, whatever is in them."""
+"""Attributes with any text."""
 _VALUES = {
     "href": re.compile(rf"#[\w-]*|{'|'.join(map(re.escape, FILES))}"),
     "src": re.compile(r"data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"),
@@ -57,9 +57,9 @@ _VALUES = {
     "charset": re.compile(r"utf-8", re.IGNORECASE),
     "content": re.compile(r"width=device-width, initial-scale=1"),
 }
-"""What addresses may be: a section, a file of the folder, a picture, in which nothing runs."""
+"""Allowed addresses: a section, a file of the folder, a picture without scripts."""
 _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
-"""What a style can load something with, or hide that by an escape."""
+"""Parts of a style that load something, or hide that by an escape."""
 
 
 def check_passive(page: str, where: str) -> None:
@@ -107,12 +107,11 @@ def _is_passive(attribute: str, value: str) -> bool:
 
 COPIED = ("runs.parquet", "machine.json", "suite.json")
 WHERE_THERE = (CAPABILITY_FILE,)
-"""Copied of the suites that have it."""
+"""Copied if present."""
 PAGE, SENDER = "report.html", "sender.toml"
 SENT = (PAGE, *COPIED, SENDER)
-"""The files of every folder that is sent."""
 MOST_BYTES = 1_000_000
-"""Everybody who clones the repository gets every folder."""
+"""Every clone of the repository has every folder."""
 _MADE_BY = "one made by `dpbench report DIR --send FOLDER`"
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 _BLANK = """\
@@ -130,13 +129,9 @@ class Sender(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     who: _Words
-    """Who ran it."""
     when: datetime.date
-    """When it was run."""
     command: _Words
-    """What was typed."""
     remarks: str = ""
-    """What a reader should know beside it."""
 
 
 def prepare_folder(folder: Path, target: Path) -> None:

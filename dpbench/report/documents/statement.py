@@ -75,7 +75,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "`": {"size": 7.5},
     "~": {"size": 8.5},
 }
-"""Of a line of the template, by the mark that it begins with; one without is wrapped."""
+"""Look of a line by the mark it begins with; a line without one is wrapped."""
 
 
 def _lines(folder: Path, results: Results, data: PageData, chosen: Verdict) -> Iterator[Line]:

@@ -23,9 +23,9 @@ from dpbench.report.formats import as_float
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
 
 MOST_RUNS = 20_000
-"""So many runs of studies stand on the page with their errors; the rest is in the files."""
+"""Runs of studies on the page with their errors; the files have all."""
 MOST_LOOPS = 400
-"""So many of them with their steps."""
+"""Runs of studies on the page with their steps."""
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:

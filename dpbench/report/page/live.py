@@ -127,7 +127,7 @@ SECTIONS = (
         "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
     ),
 )
-"""In the order of the page, topics before the last one."""
+"""In the order of the page; topics precede the last one."""
 
 
 def charts_of(data: PageData) -> dict[str, Charts]:

@@ -121,20 +121,18 @@ def _planes(codes: NDArray[np.uint16]) -> bytes:
 
 
 TOLD_APART = (1e-3, 1e-3, 1e-4)
-"""Of a track: 1 mm, and 0.006 degrees."""
+"""Resolution of a track: 1 mm, and 0.006 degrees."""
 FORCE_SHARE = 1e-3
-"""What is told apart of a force, as a share of its limit."""
+"""Resolution of a force, as a share of its limit."""
 FLAGS = ("claimed", "true", "failed", "late", "fallback", "clipped")
-"""Bits of a step's flag, the lowest first; the one above them marks a step that a thinned run keeps
-only since it is a hard one, so that it stands in no mean."""
+"""Bits of a step's flag, the lowest first; the next bit marks a hard step that enters no mean."""
 MOST_STEPS, MOST_POINTS = 480_000, 240_000
 """So many steps and points of tracks the page has room for, all runs together."""
 MOST_POINTS_EACH = 400
 MANY_RUNS, STEPS_A_RUN, POINTS_A_RUN = 1000, 25, 12
 """Each run beyond so many takes the room of so many steps and points by being there."""
 MOST_HARD = 15_000
-"""So many hard steps the page lists, of all runs by all measures; five of each up to a thousand
-runs, one at least."""
+"""Hard steps on the page, of all runs by all measures."""
 
 
 @dataclass(frozen=True)

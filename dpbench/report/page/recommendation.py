@@ -30,10 +30,10 @@ from dpbench.report.verdict_text import (
 from dpbench.solvers.settings import has_setting, level_options
 
 MOST_CHIPS = 16
-"""More experiments than these are counted by state, and named only where they are at most `FEW`."""
+"""More experiments are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
 MOST_INCONCLUSIVE = 2
-"""So many faster configurations are named that are inconclusive."""
+"""Number of faster but inconclusive configurations with a note."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ GROUPS: dict[str, str] = {
     ),
     "run": "solver_version build units formulation n m steps_done run_id",
 }
-"""Columns that are shown a group at a time; the whole table is a file."""
+"""Columns of the page, a group at a time."""
 TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
@@ -43,11 +43,11 @@ TIMES = {
     "raw_p99_ns": "p99 of timings",
     "raw_max_ns": "largest timing",
 }
-"""Columns of times that the page has words for."""
+"""Labels of the columns of times."""
 MOST_TILES = 1000
-"""So many tiles the page draws: each is two of the nodes that a browser has to keep."""
+"""Each tile is two nodes of the browser."""
 MOST_ROWS = 3000
-"""So many runs the page lists; all are in a file."""
+"""Runs on the page; the file has all."""
 
 
 def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:

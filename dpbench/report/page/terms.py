@@ -29,8 +29,7 @@ PHRASES = {
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }
-"""What is looked for in a text, one or more of it, and the term of the glossary that it stands for.
-Words of everyday use such as *step* or *pass* are not: every second one would be a link."""
+"""Term of the glossary by phrase. Everyday words such as *step* would link every second word."""
 _FOUND = re.compile(
     r"(?<![\w-])(?:" + "|".join(sorted(map(re.escape, PHRASES), key=len, reverse=True)) + r")s?\b",
     re.IGNORECASE,
@@ -43,7 +42,7 @@ _HEAD_TOPICS = (
     "The paper reproduced",
 )
 _OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
-"""Elsewhere in the glossary a head may stand for another thing: *error* for a status."""
+"""In other topics a head may stand for another thing: *error* for a status."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,6 @@ class Terms:
 
 
 MOST_EXPERIMENTS = 60
-"""So many experiments the list of words explains."""
 
 
 def experiment_words(data: PageData) -> dict[int, Word]:

@@ -119,13 +119,13 @@ def page_html(
 
 
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
-"""Of the page, in the order they are loaded; the last one starts."""
+"""In the order of loading; the last one starts the page."""
 WORDS = (
     *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
     *("pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
-"""Of the glossary what the page says of any solver, before the words on how they are run."""
+"""Terms of the glossary on the page, before those on how solvers are run."""
 
 
 def use_page_colours(text: str) -> str:

@@ -71,8 +71,7 @@ def topics_of(
 
 
 _CONTRASTS = ("formulations", "race", "routes", "levels")
-"""Questions about the same replays, in the order in which a suite of replays is taken to ask; its
-page answers that one alone."""
+"""Questions about the same replays, in their order of precedence; a page answers one."""
 
 
 def _mostly_forms(records: Records) -> bool:

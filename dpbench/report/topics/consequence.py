@@ -21,7 +21,7 @@ from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 MOST_ROWS = 8
-"""A longer table is a file alone: the figures show who is right."""
+"""A longer table is only a file: the figures show the right solvers."""
 
 
 def consequence_topic(records: Records) -> Topic | None:

@@ -22,14 +22,14 @@ CITATION = """@misc{xia_dp_mpc,
   title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
   howpublished = {Conference paper, College of Automation, Harbin Engineering University},
 }"""
-"""A copy of the paper names neither the conference nor the year, so neither is said."""
+"""A copy of the paper names neither the conference nor the year."""
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
     ("errors", precision, "Fig. 5: errors of position and heading."),
     ("forces", forces, "Fig. 6: forces with their limits."),
     ("increments", increments, "Fig. 7: increments with the rate limits."),
 )
-"""Figures 4 to 7: name, what draws it of the laws, caption."""
+"""Figures 4 to 7: name, function, caption."""
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:

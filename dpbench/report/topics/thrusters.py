@@ -43,9 +43,9 @@ from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 MOST_ROWS = 8
-"""Rows on the page, the rightest first; all of them are a file."""
+"""Rows on the page, the most often right first; the file has all."""
 LIKE = 0.01
-"""Shares of power and wear that differ by less are alike."""
+"""Relative difference of power or wear that counts as equal."""
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:

@@ -27,7 +27,6 @@ from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"
-"""Of the machine, what its kernel does not show."""
 COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
     "the worst step that was never met.",
