@@ -33,7 +33,7 @@ from dpbench.report.glossary import as_markdown, meanings, topics
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
-from dpbench.report.topics.consequence import row_of
+from dpbench.report.topics.capability import row_of
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.thrusters import row_of as thruster_row
 from dpbench.scenario.scenario import load_vessel

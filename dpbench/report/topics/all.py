@@ -12,14 +12,13 @@ from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
-from dpbench.report.topics.capability import capability_topic
-from dpbench.report.topics.consequence import consequence_topic
-from dpbench.report.topics.loops import loops_topic
+from dpbench.report.topics.capability import capability_topic, consequence_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.replays import (
     formulations_topic,
     levels_topic,
+    loops_topic,
     race_topic,
     routes_topic,
     worst_case_topic,
