@@ -77,8 +77,7 @@ def report_and_ending(
             write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        text = report_markdown(report.results, report.data, report.recommendation, report.topics)
-        write_text(folder / "report.md", text)
+        write_text(folder / "report.md", report_markdown(report))
         page = folder / "report.html"
         write_text(page, _page(folder, report))
         if send is not None:

@@ -10,7 +10,6 @@ from dpbench.analysis.records.worst_steps import WorstStep, value_at, worst_step
 from dpbench.analysis.times.pairs import paired_comparison
 from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.result_folder import Results
 from dpbench.errors import UnknownNameError, one_of
 from dpbench.report.formats import (
     MISSING,
@@ -21,8 +20,6 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.table import markdown, markdown_line, markdown_text, one_line
 from dpbench.report.verdict_text import answer_text, clauses, paired_text, requirements_text
@@ -30,45 +27,30 @@ from dpbench.report.verdict_text import answer_text, clauses, paired_text, requi
 MOST_BYTES = 8000
 """One or two screens."""
 HEAD = (
-    *(
-        "solver",
-        "call mode",
-        "verdict",
-        "p50",
-        "p99",
-        "p99 of timings",
-        "worst p99",
-        "hardest step",
-    ),
-    *("speed margin", "largest error", "failed"),
+    *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
+    *("hardest step", "speed margin", "largest error", "failed"),
 )
 
 
-def report_markdown(
-    results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
-) -> str:
+def report_markdown(report: Report) -> str:
     """Return the report in Markdown, at most `MOST_BYTES` long."""
-    suite = results.suite
+    data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    wording = (
-        [recommendation.sentence, *(note for _, note in recommendation.notes)]
-        if data.verdicts.of or not lead
-        else []
-    )
+    wording = []
+    if data.verdicts.of or not lead:
+        wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     valid = ", ".join(chip.text for chip in recommendation.chips)
     after = [f"Valid for: {valid}."] if valid else []
     after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
-        f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
+        f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
         *map(markdown_line, [*lead, *wording]),
         solver_table(data, best_of_each(data.verdicts)),
         *map(markdown_line, after),
-    ]
-    parts.append(
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
-        "`runs.parquet`, `steps.parquet`."
-    )
+        "`runs.parquet`, `steps.parquet`.",
+    ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     return cut(text, MOST_BYTES, "tables/verdicts.csv")
 

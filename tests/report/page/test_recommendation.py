@@ -88,8 +88,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
 def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     for i in range(150):
         records.loop(f"somebody_elses_solver_{i:03d}")
-    facts = _facts(records)
-    text = report_markdown(records.results(), facts, build_recommendation(facts, {}), [])
+    text = report_markdown(Report.of(records.results()))
     assert len(text.encode()) <= MOST_BYTES
     assert text.endswith("More rows: `tables/verdicts.csv`.\n")
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
