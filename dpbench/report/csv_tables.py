@@ -36,10 +36,10 @@ def build_tables(
     """Return all tables by name, some of them empty; `TABLES` explains them."""
     tables = {
         "runs": results.runs.drop(columns="cell"),
-        "verdicts": _verdicts(data, recommendation),
+        "verdicts": _verdicts_table(data, recommendation),
         "experiments": tile_table(data),
         "hard_steps": hard_step_table(data, data.kept),
-        "ladder": _ladder(data),
+        "ladder": _ladder_table(data),
         "paired_ratios": ratio_table(data),
     }
     for topic in topics:
@@ -56,10 +56,10 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
-    write_together(folder, {**contents, LEGEND: lambda: _legend(written).encode()})
+    write_together(folder, {**contents, LEGEND: lambda: _describe_tables(written).encode()})
 
 
-def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
+def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
     wording = {
         markdown_text(name): (
@@ -71,7 +71,7 @@ def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
     return document("tables.md", tables=wording)
 
 
-def _ladder(data: PageData) -> pd.DataFrame:
+def _ladder_table(data: PageData) -> pd.DataFrame:
     """Return the ladder in microseconds; the figure's axis has milliseconds."""
     table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
@@ -79,7 +79,7 @@ def _ladder(data: PageData) -> pd.DataFrame:
     return table.rename(columns={name: f"{name.removesuffix('_ms')}_us" for name in times})
 
 
-def _verdicts(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
+def _verdicts_table(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]

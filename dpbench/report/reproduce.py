@@ -84,7 +84,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_figures(folder, topic, laws_of(records), scenario)
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
-    write_text(folder / "claims.md", _document(topic, results))
+    write_text(folder / "claims.md", _claims_document(topic, results))
     judged = claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
@@ -95,7 +95,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         f"claims: {folder / 'claims.md'} and .csv",
         f"runs: {folder / RUNS}; `dpbench report` makes their page",
     )
-    wording = (f"{count_reproduced(judged)}.", *_contradicted(judged), stable, *places)
+    wording = (f"{count_reproduced(judged)}.", *_list_contradicted(judged), stable, *places)
     return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
@@ -109,7 +109,7 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
-def _document(topic: Topic, results: Results) -> str:
+def _claims_document(topic: Topic, results: Results) -> str:
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
@@ -117,7 +117,7 @@ def _document(topic: Topic, results: Results) -> str:
     return document("claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS)
 
 
-def _contradicted(judged: Sequence[Claim]) -> list[str]:
+def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
     """List the claims that the runs contradict or do not cover, at most `MOST_NAMED` of them."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED

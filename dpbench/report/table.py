@@ -45,15 +45,15 @@ def markdown_cell(text: str) -> str:
 
 def csv_bytes(table: pd.DataFrame) -> bytes:
     """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
-    named = table.rename(columns={name: _no_formula(name) for name in table.columns})
+    named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
     texts = [i for i, dtype in enumerate(named.dtypes) if not pd.api.types.is_numeric_dtype(dtype)]
     for i in texts:
-        plain = named.iloc[:, i].map(_no_formula, na_action="ignore")
+        plain = named.iloc[:, i].map(_disarm_formula, na_action="ignore")
         named.isetitem(i, plain.to_numpy(dtype=object))
     return bytes(named.to_csv(index=False).encode())
 
 
-def _no_formula(value: Any) -> Any:
+def _disarm_formula(value: Any) -> Any:
     if not isinstance(value, str) or not value.startswith(_FORMULA):
         return value
     try:
@@ -107,7 +107,7 @@ class Table:
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
     """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
-    return "\n".join(map(_line, [heads, align, *rows]))
+    return "\n".join(map(_markdown_row, [heads, align, *rows]))
 
 
 def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
@@ -126,5 +126,5 @@ def html(table: Table) -> str:
     return table_html(table.heads, table.rows, title=table.title, note=table.note)
 
 
-def _line(cells: Sequence[str]) -> str:
+def _markdown_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(map(markdown_cell, cells))} |"

@@ -43,7 +43,7 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order="i:Q", color=colour)
-    points = _points(closed, place)
+    points = _draw_points(closed, place)
     turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
     rings = [
         {**_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS
@@ -51,9 +51,9 @@ def rose(table: pd.DataFrame, title: str) -> Any:
     spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
     bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
     web = [
-        _web(rings, place).encode(detail="n:N", order="i:Q"),
-        _web(spokes, place).encode(detail="spoke:N"),
-        *_ring_names(place, closed),
+        _draw_lines(rings, place).encode(detail="n:N", order="i:Q"),
+        _draw_lines(spokes, place).encode(detail="spoke:N"),
+        *_draw_ring_names(place, closed),
         alt.Chart(pd.DataFrame(bearings))
         .mark_text(color=style.INK, fontSize=12)
         .encode(**place, text="name:N"),
@@ -75,7 +75,7 @@ def rose(table: pd.DataFrame, title: str) -> Any:
 Place = dict[str, Any]
 
 
-def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
+def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
     tooltips = [
         "case:N",
         style.tip("from_deg:Q", "from [°]"),
@@ -110,21 +110,21 @@ def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
     return ring.assign(**places, i=range(len(ring)))
 
 
-def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
+def _draw_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
 
-def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
+def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
-    places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
+    places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
     text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
     patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
     return patch, text.mark_text(fontSize=12, color=style.SOFT)
 
 
-def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
+def _find_clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
     """Return where each ring (R,) is named: in one direction good for most, else its own best."""
     held = np.array(
         [

@@ -159,14 +159,20 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
     )
     return style.apply(
         alt.layer(
-            lines, style.limit_rule(error_limit), dots, named, _fullness(), width=620, height=360
+            lines,
+            style.limit_rule(error_limit),
+            dots,
+            named,
+            _draw_opacity_legend(),
+            width=620,
+            height=360,
         ),
         "Accuracy against time",
         "Largest error of the first move against step time, a point for each settings level.",
     )
 
 
-def _fullness() -> Any:
+def _draw_opacity_legend() -> Any:
     """Draw the legend of the filling from invisible points: Vega has none of its own."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
@@ -185,7 +191,7 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 """Remark on the whiskers on a slower computer."""
 
 
-def _state() -> str:
+def _verdict_expression() -> str:
     """Return the expression of the verdict on the slower computer: late beyond the speed margin."""
     good = " || ".join(
         f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
@@ -202,9 +208,9 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
     p99_ms : limit of the requirements.
     """
-    base = _scaled(table)
-    x = _axis(table, deadline_ms)
-    parts = (*_rows(base), *_times(base, x), *_limits(deadline_ms, p99_ms))
+    base = _scale_rows(table)
+    x = _time_axis(table, deadline_ms)
+    parts = (*_draw_click_areas(base), *_draw_times(base, x), *_draw_limits(deadline_ms, p99_ms))
     return style.apply(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
         "How close to the deadline",
@@ -212,14 +218,14 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     )
 
 
-def _scaled(table: pd.DataFrame) -> alt.Chart:
+def _scale_rows(table: pd.DataFrame) -> alt.Chart:
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
         m="datum.max_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
-        now=_state(),
+        now=_verdict_expression(),
         computer="'× ' + format(slow, '.3~g')",
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
     )
@@ -238,7 +244,7 @@ def _scaled(table: pd.DataFrame) -> alt.Chart:
     return scaled.encode(y=y, tooltip=tips)
 
 
-def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
+def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     """Return an axis to ten times the deadline, or on to the slowest time there."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
     high = max(10.0 * deadline_ms, 1.0)
@@ -255,7 +261,7 @@ def _axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     return alt.X("a:Q", title="step time [ms], log scale", scale=scale, axis=axis)
 
 
-def _rows(base: alt.Chart) -> Iterator[Any]:
+def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
     """Draw the areas that take clicks, and the mark of the chosen row."""
     pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
@@ -264,7 +270,7 @@ def _rows(base: alt.Chart) -> Iterator[Any]:
     yield style.whole_rows(base, style.choose(pick, 0.25, 0.0), color=style.ACCENT)
 
 
-def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
+def _draw_times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     """Draw the call overhead, whisker, line, bar and marker of each row."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
@@ -283,7 +289,7 @@ def _times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
 
 
-def _limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
+def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
     """Draw deadline and p99 limit with their names, and the remark on the whiskers below."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (

@@ -41,13 +41,13 @@ class _ChartKey:
 
 def vega(chart: Any) -> dict[str, Any]:
     """Compile the chart to Vega without its title, which the page has above it."""
-    compiled: dict[str, Any] = json.loads(_compiled(_ChartKey(chart)))
+    compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def svg(chart: Any, *, titled: bool = True) -> str:
     """Return the figure as SVG with real text."""
-    return _svg_of(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
+    return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
 
 
 PROBE = """
@@ -75,7 +75,7 @@ _svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
 
 @lru_cache(maxsize=64)
-def _compiled(chart: _ChartKey) -> str:
+def _compile_chart(chart: _ChartKey) -> str:
     """Compile a chart to Vega, with labels that avoid each other, which Vega-Lite cannot state."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
@@ -83,14 +83,14 @@ def _compiled(chart: _ChartKey) -> str:
     with alt.data_transformers.enable("default", max_rows=None):
         plain = chart.chart.to_dict(validate=False)
     simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(plain))
-    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
+    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_newest_grammar())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
-        marks.append(_names())
+        marks.append(_label_mark())
     return json.dumps(specification)
 
 
-def _names() -> dict[str, Any]:
+def _label_mark() -> dict[str, Any]:
     """Return the mark of the labels of the layer `NAMES`."""
     place = {
         "type": "label",
@@ -123,7 +123,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
         return page.getvalue().encode()
     if kind == "svg":
         return svg(chart).encode()
-    drawn = _compiled(_ChartKey(chart))
+    drawn = _compile_chart(_ChartKey(chart))
     made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
     return made
 
@@ -135,7 +135,7 @@ def save(chart: Any, path: Path) -> Path:
 
 
 @cache
-def _version() -> str:
+def _newest_grammar() -> str:
     """Return the newest version of the grammar that the compiler has, up to that of the charts."""
     wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
     known = list(vlc.get_vegalite_versions())

@@ -24,18 +24,20 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float)
     error_limit : limit on the error of the first move.
     """
     at = alt.param(name="at", value=-1)
-    steps = _steps("steps", table)
+    steps = _named_chart("steps", table)
     rule = (
         style.inline({}).mark_rule(color=style.ACCENT, strokeWidth=1.5).transform_calculate(at="at")
     )
     rule = rule.transform_filter("datum.at >= 0").encode(x="at:Q").add_params(at)
     panels = [
-        (110, _time(steps.encode(x=_x()))),
-        (90, _error(steps.encode(x=_x()), error_limit)),
-        (80, _iterations(steps.encode(x=_x(last=forces is None)))),
+        (110, _draw_times(steps.encode(x=_step_axis()))),
+        (90, _draw_errors(steps.encode(x=_step_axis()), error_limit)),
+        (80, _draw_iterations(steps.encode(x=_step_axis(last=forces is None)))),
     ]
     if forces is not None:
-        panels.append((90, [_forces(_steps("forces", forces).encode(x=_x(last=True)))]))
+        panels.append(
+            (90, [_draw_forces(_named_chart("forces", forces).encode(x=_step_axis(last=True)))])
+        )
     chart = alt.vconcat(
         *(alt.layer(*parts, rule, height=height, width=_WIDTH) for height, parts in panels),
         spacing=6,
@@ -46,18 +48,18 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float)
     return style.apply(chart, "Step by step", about)
 
 
-def _steps(name: str, table: pd.DataFrame) -> alt.Chart:
+def _named_chart(name: str, table: pd.DataFrame) -> alt.Chart:
     """Return a chart of rows under the name by which the page replaces them."""
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return style.inline(*({str(k): v for k, v in row.items()} for row in rows), name=name)
 
 
-def _x(*, last: bool = False) -> alt.X:
+def _step_axis(*, last: bool = False) -> alt.X:
     axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
 
-def _time(steps: alt.Chart) -> list[Any]:
+def _draw_times(steps: alt.Chart) -> list[Any]:
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tip("raw:N", "largest timing [µs]")
@@ -69,7 +71,7 @@ def _time(steps: alt.Chart) -> list[Any]:
     return [span, base.mark_circle(size=9, opacity=0.9, color=style.ACCENT)]
 
 
-def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
+def _draw_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -83,14 +85,14 @@ def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
     return [dots, style.limit_rule(error_limit)]
 
 
-def _iterations(steps: alt.Chart) -> list[Any]:
+def _draw_iterations(steps: alt.Chart) -> list[Any]:
     base = steps.encode(tooltip=["k:Q", "iterations:Q", "active:Q"])
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
     return [area, base.mark_circle(size=9, color=style.INK, opacity=0.9).encode(y="iterations:Q")]
 
 
-def _forces(forces: alt.Chart) -> Any:
+def _draw_forces(forces: alt.Chart) -> Any:
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),

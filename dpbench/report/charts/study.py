@@ -73,9 +73,9 @@ def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float)
     dots = dots.encode(
         x="behind_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
-    bars, means = _means(alt.Chart(table))
+    bars, means = _draw_means(alt.Chart(table))
     parts = (
-        _band(small_cm, alt.X("low:Q", title=across)),
+        _draw_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
@@ -91,7 +91,7 @@ _MEAN_TIPS = (
 )
 
 
-def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
+def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     """Draw the intervals of the means, and the means."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
@@ -100,7 +100,7 @@ def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     return bars, means
 
 
-def _band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
+def _draw_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
     ends = style.inline({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
@@ -162,7 +162,7 @@ def behind_there(small_cm: float) -> Any:
     marked = style.whole_rows(
         means, style.choose(_CHOSEN, 0.2, 0.0), color=style.ACCENT
     ).add_params(style.narrow())
-    parts = (_band(small_cm, opacity=0.6), marked, *_means(means), seas)
+    parts = (_draw_band(small_cm, opacity=0.6), marked, *_draw_means(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
     return style.apply(chart, "Behind the reference", about)

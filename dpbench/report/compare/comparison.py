@@ -291,9 +291,9 @@ def compare(
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
     figures = compare_answers(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_machine(views[0])}", f"B: {b}{_machine(views[1])}"]
+    lines = [f"A: {a}{_machine_text(views[0])}", f"B: {b}{_machine_text(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
-    lines += [*wording, *_lines(compared, shared, figures, pairs)]
+    lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
     changed = answers_table(figures, margin)
     tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
@@ -322,13 +322,13 @@ def _compare_times(
     return compare_to_reference(timings, margin, alpha, rows), [], wording
 
 
-def _machine(view: Records) -> str:
+def _machine_text(view: Records) -> str:
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = disturbance_of(timed_runs(view))
     return f"{wording}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
-def _lines(
+def _summary_lines(
     compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
 ) -> list[str]:
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]

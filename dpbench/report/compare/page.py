@@ -35,8 +35,8 @@ LEFT_OUT = ("B/A", "steps × rounds")
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page of a comparison."""
     order = sort_claims_first(comparison.compared)
-    charts = _charts(order, comparison.margin)
-    times = _times(order, comparison) if order else None
+    charts = _draw_charts(order, comparison.margin)
+    times = _page_times_table(order, comparison) if order else None
     others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
     text = render_page(
         "compare",
@@ -48,13 +48,13 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
         tables=[replace(t, shown=MOST_ROWS) for t in others],
-        block="" if times is None else _block(order, charts, times),
+        block="" if times is None else _pack_data(order, charts, times),
     )
     write_given(path, text.encode())
     return path
 
 
-def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+def _draw_charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
     if not order:
         return {}
     table = ratio_table(order)
@@ -65,7 +65,7 @@ def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
     }
 
 
-def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
+def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Table:
     """Return the table of times in the order of the page, without `LEFT_OUT`."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
@@ -74,17 +74,17 @@ def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
-    block, addresses = Block(), _addresses(order)
+def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
+    block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
         {
             "name": one.timing.pair.a.configuration.label,
             "where": one.timing.pair.a.problem,
             "address": address,
-            "said": said(one),
+            "said": verdict_sentence(one),
             "cells": cells,
-            **_steps(block, one.timing),
+            **_pack_step_times(block, one.timing),
         }
         for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
@@ -97,7 +97,7 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> s
     return block.text(document)
 
 
-def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
+def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
     """Pack both times of each step, element 0 for step `first`; nothing without steps."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
@@ -107,7 +107,7 @@ def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
     return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
 
 
-def _addresses(order: Sequence[Compared]) -> list[str]:
+def _selection_addresses(order: Sequence[Compared]) -> list[str]:
     """Return the fragment that selects each; those of equal ones are numbered."""
     seen: dict[str, int] = {}
     addresses = []
@@ -139,10 +139,10 @@ def lead_sentences(comparison: Comparison) -> list[str]:
         figures = (
             f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
         )
-    return [unmarked(f"{_slower(comparison)} {figures}"), *together]
+    return [unmarked(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
-def said(one: Compared) -> str:
+def verdict_sentence(one: Compared) -> str:
     """State the verdict on one configuration with its figures."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
@@ -153,7 +153,7 @@ def said(one: Compared) -> str:
     )
 
 
-def _slower(comparison: Comparison) -> str:
+def _slower_sentence(comparison: Comparison) -> str:
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:

@@ -83,25 +83,27 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     }
     over = histories(records, reference)
     requirements = Requirements.of(next(iter(records.values())).suite)
-    changed = _changed(over)
-    lead = [_sentence(solver, own_histories) for solver, own_histories in changed.items()]
+    changed = _solvers_with_versions(over)
+    lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
     lead = lead or ["No solver has two versions in these folders."]
-    return Releases(over, lead, _comparability_notes(over, records), _tables(over), requirements)
+    return Releases(
+        over, lead, _comparability_notes(over, records), _version_tables(over), requirements
+    )
 
 
-def _changed(histories: Histories) -> dict[str, list[History]]:
+def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
     """Return, by solver, the histories of those with several versions."""
     by_solver = grouped(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
-def _sentence(solver: str, own_histories: Sequence[History]) -> str:
+def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
     """State times of the most usual replay; errors and failed steps of all common runs."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
-    failed = " → ".join(_count(largest([r.failed_steps for r in side])) for side in sides)
+    failed = " → ".join(_count_per_round(largest([r.failed_steps for r in side])) for side in sides)
     versions = " → ".join(release.version for release in ends[0])
     times = _state_times(changed)
     return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
@@ -147,8 +149,8 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
     return lines
 
 
-def _tables(histories: Histories) -> list[Table]:
-    changed = _changed(histories)
+def _version_tables(histories: Histories) -> list[Table]:
+    changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
@@ -156,7 +158,7 @@ def _tables(histories: Histories) -> list[Table]:
     )
     tables = [
         Table.of(
-            [row for history in own_histories for row in _rows(history, histories)],
+            [row for history in own_histories for row in _version_rows(history, histories)],
             f"{solver} over its releases",
             note=note,
             text_columns=4,
@@ -166,7 +168,7 @@ def _tables(histories: Histories) -> list[Table]:
     rest = [history for history in histories.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, histories)]
+        rows = [{"solver": h.run.solver} | row for h in rest for row in _version_rows(h, histories)]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
@@ -178,7 +180,7 @@ BEFORE = ("to the one before", "load kernel")
 """Columns on the release before."""
 
 
-def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
+def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -195,15 +197,15 @@ def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
             f"p99{unit}": _time(release.p99, histories),
             f"largest step{unit}": _time(release.largest, histories),
             "largest error": error_text(release.error_move),
-            "claimed, not true": _count(release.claimed_not_true),
-            "failed steps": _count(release.failed_steps),
+            "claimed, not true": _count_per_round(release.claimed_not_true),
+            "failed steps": _count_per_round(release.failed_steps),
             "outcome": release.outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)
     ]
 
 
-def _count(value: float) -> str:
+def _count_per_round(value: float) -> str:
     """Format a count per round, whole where it is in every round."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
@@ -248,13 +250,13 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
 
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
-    base = _base(table)
-    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_axis("~g"))
+    base = _version_rows_chart(table)
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_value_axis("~g"))
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     known = base.transform_filter("isValid(datum.p99)")
     bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
-    layers = (line, bar, _point(base, x))
-    return _panels(layers, "Step time", "Step times of each solver, version by version.")
+    layers = (line, bar, _draw_points(base, x))
+    return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
 
 
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
@@ -263,19 +265,19 @@ def release_errors(table: pd.DataFrame, allowed: float) -> Any:
     table : as of `release_times`; an error of 0 or none at all has no point.
     """
     title = "largest error of the first move [rate-limit steps]"
-    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_axis(".0e"))
-    drawn = _base(table).transform_filter("isFinite(datum.error) && datum.error > 0")
+    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_value_axis(".0e"))
+    drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
     rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
-    layers = (rule, _point(drawn, x))
-    return _panels(layers, "Error", "Largest error of each solver, version by version.")
+    layers = (rule, _draw_points(drawn, x))
+    return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
-def _axis(form: str) -> alt.Axis:
+def _value_axis(form: str) -> alt.Axis:
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
-def _base(table: pd.DataFrame) -> Any:
+def _version_rows_chart(table: pd.DataFrame) -> Any:
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
         color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
@@ -284,11 +286,11 @@ def _base(table: pd.DataFrame) -> Any:
     )
 
 
-def _point(base: Any, x: alt.X) -> Any:
+def _draw_points(base: Any, x: alt.X) -> Any:
     return base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
 
 
-def _panels(layers: Sequence[Any], title: str, description: str) -> Any:
+def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)

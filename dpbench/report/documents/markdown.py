@@ -120,9 +120,9 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
-        markdown_line(_sentence(data, best[solver])),
+        markdown_line(_verdict_sentence(data, best[solver])),
         solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
-        "\n".join(f"- {markdown_text(_paired(data, best[solver], v))}" for v in chosen),
+        "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export)}" for step in worst),
         markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
@@ -132,7 +132,7 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     ), worst
 
 
-def _sentence(data: PageData, verdict: Verdict) -> str:
+def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
     label = verdict.configuration.label
     passed = f"`{label}` passes everywhere it was run."
     if verdict.causes:
@@ -142,7 +142,7 @@ def _sentence(data: PageData, verdict: Verdict) -> str:
     return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
 
 
-def _paired(data: PageData, own: Verdict, other: Verdict) -> str:
+def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
     faster, slower = fastest_first([own, other])
     wording = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
@@ -159,17 +159,20 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
             step.measure,
             f"{step.k} of {step.run.problem}",
             step.run.configuration.options,
-            _figure(step.measure, step.value),
-            _figure(step.measure, step.median),
+            _figure_text(step.measure, step.value),
+            _figure_text(step.measure, step.median),
             answer_text(step.step, 0),
-            *(_figure(step.measure, value_at(data.records, step, v.configuration)) for v in others),
+            *(
+                _figure_text(step.measure, value_at(data.records, step, v.configuration))
+                for v in others
+            ),
         )
         for step in worst
     ]
     return markdown(heads, rows, 3)
 
 
-def _figure(measure: Measure, value: float) -> str:
+def _figure_text(measure: Measure, value: float) -> str:
     if measure == "time":
         return time_text(value)
     return error_text(value) if measure == "error" else count_text(value)
@@ -181,7 +184,8 @@ def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
         (
             f"worst {step.measure}",
             f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
-            f"{_figure(step.measure, step.value)}, median {_figure(step.measure, step.median)}; "
+            f"{_figure_text(step.measure, step.value)}, median "
+            f"{_figure_text(step.measure, step.median)}; "
             f"{step.export}",
         )
         for step in worst

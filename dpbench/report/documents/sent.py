@@ -67,13 +67,13 @@ def check_passive(page: str, where: str) -> None:
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
-    for at, found in _active(page):
+    for at, found in _active_parts(page):
         line = page.count("\n", 0, at) + 1
         allowed = "a page without scripts: `dpbench report DIR --send FOLDER`"
         raise ResultsError(where, f"line {line}", found[:120], allowed)
 
 
-def _active(page: str) -> Iterator[tuple[int, str]]:
+def _active_parts(page: str) -> Iterator[tuple[int, str]]:
     """Yield what is not passive, and where."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"
@@ -144,7 +144,7 @@ def prepare_folder(folder: Path, target: Path) -> None:
     allowed = "a folder of its own, as results/community/2026-11-22-name"
     if target.resolve() == folder.resolve():
         raise InputError("--send", "", str(target), allowed)
-    strangers = _strangers(target) if target.is_dir() else []
+    strangers = _unknown_files(target) if target.is_dir() else []
     if strangers:
         raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
     target.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ def check_sent(folder: Path) -> str:
     if size > MOST_BYTES:
         raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
     results = load_results(folder, without_steps=True)
-    strangers = _strangers(folder)
+    strangers = _unknown_files(folder)
     if strangers:
         raise ResultsError(
             f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
@@ -187,7 +187,7 @@ def check_sent(folder: Path) -> str:
     )
 
 
-def _strangers(folder: Path) -> list[str]:
+def _unknown_files(folder: Path) -> list[str]:
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 

@@ -59,14 +59,14 @@ def study_document(
         ],
         "names": names,
         "c": [number_of[name] for name in names],
-        "means": [_mean(study, name) for name in names],
+        "means": [_mean_excess(study, name) for name in names],
         "runs": {
             "of": [place[name] for name in rows["configuration"]],
             "point": rows["point"].tolist(),
             "sea": rows["replicate"].tolist(),
             "held": [int(held) for held in rows["held"]],
-            "tail_m": _short(rows["r_tail_max_m"].where(rows["finished"])),
-            "behind_cm": _short(behind_cm(study, rows)),
+            "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
+            "behind_cm": _round_values(behind_cm(study, rows)),
             "id": rows["run_id"].tolist(),
         },
     }
@@ -83,7 +83,7 @@ def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunReco
     return None if worst is None else kept[worst]
 
 
-def _mean(study: Study, name: str) -> dict[str, Any]:
+def _mean_excess(study: Study, name: str) -> dict[str, Any]:
     """Return the mean over all seas with its interval [cm], and the share that is held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
@@ -92,7 +92,7 @@ def _mean(study: Study, name: str) -> dict[str, Any]:
     return known | mean_cm(found.error_excess_m)
 
 
-def _short(values: Iterable[float]) -> list[float | None]:
+def _round_values(values: Iterable[float]) -> list[float | None]:
     """Round to four digits, as the page prints; None for what is missing."""
     return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
 
@@ -139,7 +139,7 @@ class PageData(RunMatrix):
         read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
             run = runs[run_id]
-            limits = self._limits(run) if run.mode == "closed_loop" else None
+            limits = self._force_limits(run) if run.mode == "closed_loop" else None
             track = None if limits is None else track_of(rows, limits, room.points)
             kept[run_id] = KeptRun.of(steps, room.steps, track)
         return kept
@@ -156,7 +156,7 @@ class PageData(RunMatrix):
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
-            entry, kept = self._cell(c, p, run), self.kept.get(run.run_id)
+            entry, kept = self._describe_run(c, p, run), self.kept.get(run.run_id)
             if kept is not None:
                 entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
                 if kept.track is not None:
@@ -165,7 +165,7 @@ class PageData(RunMatrix):
                     references.setdefault(p, kept.track)
             yield entry
 
-    def _cell(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+    def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
         return {
             "c": c,
             "p": p,
@@ -185,7 +185,7 @@ class PageData(RunMatrix):
             "settle_s": number(run.settle_s),
         }
 
-    def _limits(self, run: RunRecord) -> Any:
+    def _force_limits(self, run: RunRecord) -> Any:
         scenario = self.scenario(run)
         if scenario is None:
             return None

@@ -29,7 +29,10 @@ def page_document(
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}
-    rows = [_configuration(data, recommendation, c, verdicts.get(c)) for c in data.configurations]
+    rows = [
+        _describe_configuration(data, recommendation, c, verdicts.get(c))
+        for c in data.configurations
+    ]
     document: dict[str, Any] = {
         "solvers": {
             name: {"family": family_of(name), "method": known.method if known else ""}
@@ -37,7 +40,7 @@ def page_document(
             for known in [known_record(name)]
         },
         "configurations": columns_of(rows),
-        "experiments": _experiments(data, words),
+        "experiments": _describe_experiments(data, words),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
@@ -46,14 +49,14 @@ def page_document(
             "deadline_ms": data.requirements.deadline_ms,
             "p99_ms": data.requirements.p99_ms,
         },
-        "answer": _opening(data, results, recommendation),
+        "answer": _first_selection(data, results, recommendation),
     }
     for section in SECTIONS:
         document |= section.data(data, results)
     return document
 
 
-def _configuration(
+def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
@@ -69,12 +72,12 @@ def _configuration(
         "failed": None if v is None else v.failed_steps,
         "timed_at": None if v is None else data.timed_at(v),
         "call": call_text(c),
-        **_margin(data, c),
-        **_longest(data, c),
+        **_describe_margin(data, c),
+        **_longest_timing(data, c),
     }
 
 
-def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
+def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
     """Return the speed margin and the window steps that bound it: experiment, k, time [ns]."""
     margin = data.margin(c)
     if margin is None:
@@ -93,7 +96,7 @@ def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
     return {"margin": number(margin.factor), "bounds": bounds}
 
 
-def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
+def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
     """Return the largest single timing of a configuration [ns], and its experiment."""
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
@@ -101,7 +104,9 @@ def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
     return {"longest": number(run.raw_max_ns), "longest_at": data.experiments.index(experiment)}
 
 
-def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
+def _first_selection(
+    data: PageData, results: Results, recommendation: Recommendation
+) -> dict[str, Any]:
     """Return the selection that the page opens with, and the best configuration of each solver."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
@@ -122,16 +127,18 @@ def _opening(data: PageData, results: Results, recommendation: Recommendation) -
     }
 
 
-def _experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
+def _describe_experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
     """Describe each experiment by its first run; a sea without a loop on the page has none."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
-        _experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
+        _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
         for p, experiment in enumerate(data.experiments)
     ]
 
 
-def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -> dict[str, Any]:
+def _describe_experiment(
+    data: PageData, experiment: Experiment, run: RunRecord | None
+) -> dict[str, Any]:
     wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,

@@ -22,14 +22,14 @@ from dpbench.report.page.tables import drawn_tiles, runs_table
 Charts = dict[str, Any]
 
 
-def _ladder(data: PageData) -> Charts:
+def _draw_ladder(data: PageData) -> Charts:
     timed = time_table(data)
     if timed.empty:
         return {}
     return {"ladder": ladder(timed, data.requirements.deadline_ms, data.requirements.p99_ms)}
 
 
-def _matrix(data: PageData) -> Charts:
+def _draw_matrix(data: PageData) -> Charts:
     tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
@@ -50,14 +50,14 @@ def _matrix_text(data: PageData) -> str:
     there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
-        wording.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
+        wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
         wording.append(f"{most}; all are in tables/experiments.csv.")
     return " ".join(wording)
 
 
-def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
+def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
     """State how many solvers fail in SI units with default settings."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
     ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
@@ -68,37 +68,37 @@ def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
     )
 
 
-def _strips(data: PageData) -> Charts:
+def _draw_strips(data: PageData) -> Charts:
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
     charts = {"strips": strips(no_steps, forces, data.requirements.error_move)}
-    if _replayed(data):
+    if _replayed_configurations(data):
         charts["strips_replay"] = strips(no_steps, None, data.requirements.error_move)
     return charts
 
 
-def _pairs(data: PageData) -> Charts:
+def _draw_pairs(data: PageData) -> Charts:
     """Draw the axes by signals of these names, which the script adds."""
-    return {"pairs": pairs("first", "second")} if len(_replayed(data)) > 1 else {}
+    return {"pairs": pairs("first", "second")} if len(_replayed_configurations(data)) > 1 else {}
 
 
-def _replayed(data: PageData) -> set[int]:
+def _replayed_configurations(data: PageData) -> set[int]:
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
-def _paired(data: PageData, _: Results) -> dict[str, Any]:
+def _pack_pair_reaches(data: PageData, _: Results) -> dict[str, Any]:
     timed, reach = pair_reaches(data)
     return {"paired": {"c": timed, "reach": data.block.log(reach)}}
 
 
-def _accuracy(data: PageData) -> Charts:
+def _draw_accuracy(data: PageData) -> Charts:
     points = level_table(data)
     return {} if points.empty else {"accuracy": accuracy(points, data.requirements.error_move)}
 
 
-def _study(data: PageData) -> Charts:
+def _draw_study(data: PageData) -> Charts:
     if not (data.studies and data.runs):
         return {}
     return {
@@ -110,15 +110,15 @@ def _study(data: PageData) -> Charts:
 
 
 SECTIONS = (
-    Section("answer", "Answer", _ladder, ("ladder",), always=True),
-    Section("matrix", "Scenarios", _matrix, ("matrix",), text=_matrix_text),
-    Section("one", "One solver", _strips, live=True),
-    Section("two", "Two solvers", _pairs, data=_paired, live=True),
-    Section("accuracy", "Accuracy", _accuracy, ("accuracy",)),
+    Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
+    Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
+    Section("one", "One solver", _draw_strips, live=True),
+    Section("two", "Two solvers", _draw_pairs, data=_pack_pair_reaches, live=True),
+    Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
     Section(
         "study",
         "Study",
-        _study,
+        _draw_study,
         data=lambda data, _: {"studies": data.study_documents},
         live=True,
         in_topic=True,

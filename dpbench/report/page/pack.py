@@ -63,13 +63,15 @@ class Block:
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
-        return self._add("linear", _differences(codes.astype(np.int16).view(np.uint16)), scale)
+        return self._add(
+            "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
+        )
 
     def count(self, values: ArrayLike, places: int | None = None) -> int:
         """Add whole numbers from 0 to 65534; NaN and negative ones are missing."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._add("count", _differences(codes.astype(np.uint16)), 1.0, places)
+        return self._add("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
     def flag(self, values: ArrayLike, places: int | None = None) -> int:
         """Add bytes."""
@@ -83,7 +85,7 @@ class Block:
         return self._add("place", apart.astype(np.uint16), length)
 
     def _add(self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None) -> int:
-        raw = _planes(codes) if codes.dtype == np.uint16 else codes.tobytes()
+        raw = _split_planes(codes) if codes.dtype == np.uint16 else codes.tobytes()
         entry = [kind, self._size, len(codes), scale]
         self._entries.append(entry if places is None else [*entry, places])
         self._parts.append(raw)
@@ -112,11 +114,11 @@ def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
     return np.where(np.isnan(x) | (x < 0), MISSING, codes).astype(np.uint16)
 
 
-def _differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
+def _encode_differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
-def _planes(codes: NDArray[np.uint16]) -> bytes:
+def _split_planes(codes: NDArray[np.uint16]) -> bytes:
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()
 
 

@@ -97,10 +97,10 @@ def build_recommendation(
         fastest = fastest_of(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     return Recommendation(
-        sentence=_sentence(data, found),
-        notes=tuple(_notes(data, found)),
-        chips=tuple(_chips(data, first)),
-        snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
+        sentence=_recommendation_sentence(data, found),
+        notes=tuple(_make_notes(data, found)),
+        chips=tuple(_make_chips(data, first)),
+        snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
         machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
         f"cores, {machine.get('python', '')}. Times hold for it alone.",
@@ -109,7 +109,7 @@ def build_recommendation(
     )
 
 
-def _sentence(data: PageData, found: SolverChoice) -> str:
+def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
     chosen = found.chosen
     if chosen is None:
         return _explain_nothing(data, found)
@@ -140,7 +140,7 @@ def _explain_nothing(data: PageData, found: SolverChoice) -> str:
     return "" if other else NOBODY
 
 
-def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
     """Yield the notes to the recommendation, each under a keyword."""
     chosen = found.chosen
     if chosen is None:
@@ -208,7 +208,7 @@ def _slow_step_text(step: SlowStep) -> str:
     return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
-def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
+def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = data.index(first)
@@ -261,7 +261,7 @@ def call_text(c: Configuration) -> str:
     return f"{call}\n# that is, {keys or 'as the library has them'}"
 
 
-def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
+def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     """Yield code to paste by language; C where the solver's record describes it."""
     yield "Python", call_text(c)
     options = level_options(c.settings, c.solver)

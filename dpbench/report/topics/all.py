@@ -42,7 +42,7 @@ def topics_of(
     known : the studies of these records, if they are already read.
     """
     requirements = verdicts.requirements
-    replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
+    replays, loops = (_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
     candidates = (
         conclusion_topic(records, verdicts),
         worst_case_topic(records),
@@ -62,7 +62,7 @@ def topics_of(
         trust_topic(records),
     )
     topics = [topic for topic in candidates if topic is not None]
-    question = _question(records, [topic.id for topic in topics])
+    question = _leading_topic(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
     hidden = ("loops", *(_CONTRASTS if replays else ()))
     shown = [topic for topic in topics if topic.leads or topic.id not in hidden]
@@ -73,13 +73,13 @@ _CONTRASTS = ("formulations", "race", "routes", "levels")
 """Questions about the same replays, in their order of precedence; a page answers one."""
 
 
-def _mostly_forms(records: Records) -> bool:
+def _is_mostly_other_forms(records: Records) -> bool:
     """Return whether over a third of the runs are of another form than the common one."""
     ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
     return 3 * (len(ships) - len(records.runs)) > len(ships)
 
 
-def _question(records: Records, topics: Sequence[str]) -> str:
+def _leading_topic(records: Records, topics: Sequence[str]) -> str:
     """Return the id of the topic that the suite asks; empty where it asks which solver to use."""
     if "worst-case" in topics:
         return "worst-case"
@@ -90,15 +90,15 @@ def _question(records: Records, topics: Sequence[str]) -> str:
         return next((id for id in requested if id in topics), "")
     if records.delayed or records.random:
         return ""
-    if _only(records, "replay"):
+    if _all_in_mode(records, "replay"):
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
-    if "formulations" in topics and _mostly_forms(records):
+    if "formulations" in topics and _is_mostly_other_forms(records):
         return "formulations"
-    if not _only(records, "closed_loop"):
+    if not _all_in_mode(records, "closed_loop"):
         return ""
     of_the_paper = {"paper", "paper_tight"} >= {run.scenario for run in records.runs}
     return next((id for id in ("paper",) * of_the_paper + ("loops",) if id in topics), "")
 
 
-def _only(records: Records, mode: str) -> bool:
+def _all_in_mode(records: Records, mode: str) -> bool:
     return all(run.mode == mode for run in records.runs)

@@ -55,14 +55,14 @@ def _state_winds(plot: Plot) -> Iterator[str]:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
     failed = plot.edges[plot.edges["case"] != INTACT]
-    wording = f"Intact, {plot.vessel} holds at least {_least(intact)}"
+    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        wording += f"; after the loss of {worst['case']} {_least(failed)}"
+        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
 
 
-def _least(edges: pd.DataFrame) -> str:
+def _least_wind_text(edges: pd.DataFrame) -> str:
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
@@ -97,7 +97,7 @@ def _capability_figures(plot: Plot) -> Iterator[Figure]:
             + ".",
         )
     if plot.answers:
-        rows = [row for a in plot.answers for row in _shares(a)]
+        rows = [row for a in plot.answers for row in _answer_shares(a)]
         yield Figure(
             f"capability-answers-{plot.vessel}",
             answers(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
@@ -106,7 +106,7 @@ def _capability_figures(plot: Plot) -> Iterator[Figure]:
         )
 
 
-def _shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
+def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
     counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.silent, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
@@ -121,7 +121,7 @@ def consequence_topic(records: Records) -> Topic | None:
     analyses = consequence_analyses(records)
     if not analyses:
         return None
-    tables = [(list(_rows(analysis)), analysis.name) for analysis in analyses]
+    tables = [(list(_solver_rows(analysis)), analysis.name) for analysis in analyses]
     long = max(len(rows) for rows, _ in tables) > MOST_ROWS
     return Topic(
         id="consequence",
@@ -168,12 +168,12 @@ def _state_losses(analysis: Analysis) -> str:
     """State which losses can be held when, those of the same answer together."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        wording.setdefault(_time(of_group), []).append(str(group))
+        wording.setdefault(_time_held(of_group), []).append(str(group))
     parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
     return f"In {analysis.name} {'; '.join(parts)}."
 
 
-def _time(of_group: pd.DataFrame) -> str:
+def _time_held(of_group: pd.DataFrame) -> str:
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -209,7 +209,7 @@ def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
     return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
 
 
-def _rows(analysis: Analysis) -> Iterator[dict[str, str]]:
+def _solver_rows(analysis: Analysis) -> Iterator[dict[str, str]]:
     for solver, best in analysis.best.items():
         right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
         yield row_of(best, right)

@@ -63,7 +63,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
                 "What the paper leaves open",
                 folded=True,
             ),
-            *([_stability(designs)] if designs is not None else ()),
+            *([_stability_table(designs)] if designs is not None else ()),
         ),
     )
 
@@ -75,7 +75,7 @@ def count_reproduced(judged: Sequence[Claim]) -> str:
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
-def _stability(designs: Designs) -> Table:
+def _stability_table(designs: Designs) -> Table:
     """Tabulate the largest root of paper eq. 35 and the sway offset held, of each controller."""
     return Table(
         (
@@ -88,7 +88,7 @@ def _stability(designs: Designs) -> Table:
             (
                 f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
                 f"{record.spectral_radius:.4f}",
-                *(_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
+                *(_bracket_text(record.held.get(weather)) for weather in (STILL, WEATHER)),
             )
             for record in designs.records
         ),
@@ -97,7 +97,7 @@ def _stability(designs: Designs) -> Table:
     )
 
 
-def _bracket(bracket: Bracket | None) -> str:
+def _bracket_text(bracket: Bracket | None) -> str:
     """Format a bracket, rounded outwards: held – not held."""
     if bracket is None:
         return MISSING

@@ -46,11 +46,11 @@ def random_topic(records: Records) -> Topic | None:
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
-        tables=(Table.of([_row(name, tally) for (name,), tally in rows]),),
+        tables=(Table.of([_claims_row(name, tally) for (name,), tally in rows]),),
     )
 
 
-def _row(solver: str, tally: Tally) -> dict[str, str]:
+def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
     return {
         "solver": solver,
         "steps": str(tally.steps),

@@ -72,7 +72,7 @@ def _ratio_text(ratio: Interval) -> str:
 
 def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Compare the formulations of the same QPs; None where no sequence was run in two."""
-    tables = _tables(
+    tables = _median_tables(
         records,
         requirements,
         [run for run in records.all_runs if not run.has_topic],
@@ -82,7 +82,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
     if not tables:
         return None
     wording = (
-        _fastest_forms(records, requirements),
+        _fastest_forms_text(records, requirements),
         "Median step time of the same QPs in each form; a solver is judged in the common one.",
     )
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
@@ -91,7 +91,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Compare the settings levels; None where there is but one."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    tables = _tables(
+    tables = _median_tables(
         records,
         requirements,
         runs,
@@ -101,13 +101,13 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     if not tables:
         return None
     wording = (
-        _right_levels(records, requirements),
+        _right_levels_text(records, requirements),
         "Median step time at each settings level, from the library's own to the tightest.",
     )
     return Topic("levels", "Settings", wording, (), tuple(tables))
 
 
-def _right_levels(records: Records, requirements: Requirements) -> str:
+def _right_levels_text(records: Records, requirements: Requirements) -> str:
     """Name the solvers that are right on every step with default settings, and with others only."""
     good = right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
@@ -146,7 +146,7 @@ def race_topic(records: Records) -> Topic | None:
     return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
 
 
-def _tables(
+def _median_tables(
     records: Records,
     requirements: Requirements,
     runs: Sequence[RunRecord],
@@ -171,7 +171,7 @@ def _tables(
     return tables
 
 
-def _fastest_forms(records: Records, requirements: Requirements) -> str:
+def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
     """Count how often each form is the fastest right one."""
     wins = fastest_forms(records, requirements)
     wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())

@@ -35,7 +35,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
                 {
                     "configuration": name,
                     "grows as n^": MISSING if growth is None else significant(growth, 2),
-                    f"largest horizon, {limit}": _longest(sweep, swept, requirements.p99_ns),
+                    f"largest horizon, {limit}": _longest_text(sweep, swept, requirements.p99_ns),
                 }
             )
         if points:
@@ -87,7 +87,7 @@ def _judging_statistic(sweep: Sweep) -> str:
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
-def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
+def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
     """Return the longest horizon within a limit: `≥` if no longer one has a p99, `?` in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
@@ -125,18 +125,18 @@ def slowdown_topic(records: Records) -> Topic | None:
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
-        tables.append(Table.of(list(map(_survival, group.configurations)), group.scenario))
+        tables.append(Table.of(list(map(_survival_row, group.configurations)), group.scenario))
     if not tables:
         return None
     wording = (
-        *map(_survivors, groups),
+        *map(_survivors_text, groups),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
 
 
-def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
+def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
@@ -145,7 +145,7 @@ def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
     }
 
 
-def _survivors(group: DelayedGroup) -> str:
+def _survivors_text(group: DelayedGroup) -> str:
     survivors = [c for c in group.configurations if c.survives > 0]
     best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
     wording = ", ".join(best) if best else "nobody survives a slow-down"

@@ -54,7 +54,7 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _lead(best, configurations, requirements)
+    lead = _load_sentence(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
@@ -73,7 +73,7 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
-def _lead(
+def _load_sentence(
     best: dict[str, RunRecord],
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
@@ -102,14 +102,14 @@ def row_of(
     return {
         "configuration": name,
         "right in": f"{right} of {len(best)}",
-        "power": _ratio(ended, best, "power_share"),
-        "wear": _ratio(ended, best, "thrust_variation"),
-        "azimuth travel": _ratio(ended, best, "azimuth_travel_deg"),
+        "power": _ratio_text(ended, best, "power_share"),
+        "wear": _ratio_text(ended, best, "thrust_variation"),
+        "azimuth travel": _ratio_text(ended, best, "azimuth_travel_deg"),
         "farthest off": f"{significant(max(off))} m" if off else MISSING,
     }
 
 
-def _ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
+def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
     """Return the largest ratio of a metric to that of the best loop, over the scenarios."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
@@ -126,7 +126,10 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     if not steering.with_thrusters:
         return None
     first = [_name_solver(chosen, requirements), _compare_with_forces(steering)]
-    second = [*_after_a_loss(records, chosen, requirements), *_consequence(records, chosen)]
+    second = [
+        *_state_offset_after_loss(records, chosen, requirements),
+        *_state_consequence(records, chosen),
+    ]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
@@ -152,7 +155,7 @@ def _compare_with_forces(steering: Steering) -> str:
         wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
         missing, unknown = steering.missing, steering.undecided
-        wording += [f"not so: {_by_fault(steering, missing)}"] if missing else []
+        wording += [f"not so: {_group_by_fault(steering, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
     lost, where = steering.only_with_forces, and_list(list(steering.forces))
@@ -161,20 +164,20 @@ def _compare_with_forces(steering: Steering) -> str:
     if not lost:
         return f"{head}, none fails with thrusters."
     fail = "fails" if len(lost) == 1 else "fail"
-    return f"{head}, {len(lost)} {fail} with thrusters: {_by_fault(steering, lost)}."
+    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(steering, lost)}."
 
 
 def _pass_verb(count: int) -> str:
     return "passes" if count == 1 else "pass"
 
 
-def _by_fault(steering: Steering, solvers: Sequence[str]) -> str:
+def _group_by_fault(steering: Steering, solvers: Sequence[str]) -> str:
     """List solvers with their fault, those of the same fault together."""
     of_fault = grouped(solvers, lambda solver: steering.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
-def _after_a_loss(
+def _state_offset_after_loss(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
     """State how far off the ship is after thrusters are lost, where the answers are right."""
@@ -189,7 +192,7 @@ def _after_a_loss(
             )
 
 
-def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
+def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     """State the further losses that could be held, the solvers that report so, and their times."""
     analyses = consequence_analyses(records)
     if not analyses:
@@ -204,7 +207,7 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
         best = min(timed, key=lambda name: timed[name])
         share = of_sample_text(timed[best])
         wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
-    label = "" if chosen is None else _of_batches(chosen, own)
+    label = "" if chosen is None else _batch_name(chosen, own)
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
         requested = plural(sum(a.asked for a in own[label]), "QP")
@@ -214,7 +217,7 @@ def _consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
     yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
 
 
-def _of_batches(chosen: Verdict, names: Iterable[str]) -> str:
+def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
     """Return the name of the chosen configuration among some names; "" where it is none of them."""
     c = chosen.configuration
     level = "" if c.settings == "default" else f", {c.settings}"

@@ -33,7 +33,7 @@ COVERED = (
 )
 
 
-def _spread(records: Records) -> list[str]:
+def _spread_lines(records: Records) -> list[str]:
     """State from which ratio two times differ: within a run, and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
@@ -74,11 +74,11 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
     return (
         "The machine was quiet by the operating system's counters: "
         f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{count_text(disturbance.rerun)} were.{_unwatched(machine)}"
+        f"{count_text(disturbance.rerun)} were.{_unwatched_text(machine)}"
     )
 
 
-def _unwatched(machine: Mapping[str, Any]) -> str:
+def _unwatched_text(machine: Mapping[str, Any]) -> str:
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
@@ -92,7 +92,7 @@ def trust_topic(records: Records) -> Topic | None:
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _spread(records)
+    lines = _spread_lines(records)
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
