@@ -121,7 +121,7 @@ class PageData(RunMatrix):
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
-    def choose_opening_run(self) -> tuple[int, int] | None:
+    def opening(self) -> tuple[int, int] | None:
         """Numbers of the configuration and experiment that a page on studies alone opens with."""
         if self.judged_experiments or not self.studies:
             return None
