@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -55,7 +56,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
-    always = {
+    always: dict[str, Iterable[Any]] = {
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
