@@ -1,5 +1,4 @@
-"""Everything the page shows, as tables, and what it has no room for: `tables/*.csv` with a legend,
-and the data frames of `load_results`."""
+"""Tables of the report: `tables/*.csv` with a legend, and the frames of `load_results`."""
 
 from __future__ import annotations
 
@@ -19,32 +18,28 @@ from dpbench.analysis.times.solver_tables import (
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.files.writing import write_together
-from dpbench.report.escaped import csv_bytes, markdown_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
+from dpbench.report.table import csv_bytes, markdown_text
 from dpbench.report.words import beside, document
 
 LEGEND = "README.md"
 TABLES: dict[str, str] = beside(__file__)["tables"]
 COLUMNS: dict[str, str] = beside(__file__)["columns"]
-"""Meanings of tables and of their columns."""
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
-def tables_of(
+def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
-    """All tables by name; one that has nothing to say has no row.
-
-    `TABLES` says what each is; those of a topic of the page have its name.
-    """
+    """Return all tables by name, some of them empty; `TABLES` explains them."""
     tables = {
         "runs": results.runs.drop(columns="cell"),
-        "verdicts": _verdicts(data, recommendation),
+        "verdicts": _verdicts_table(data, recommendation),
         "experiments": tile_table(data),
         "hard_steps": hard_step_table(data, data.kept),
-        "ladder": _ladder(data),
+        "ladder": _ladder_table(data),
         "paired_ratios": ratio_table(data),
     }
     for topic in topics:
@@ -55,41 +50,36 @@ def tables_of(
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Write those that have rows into `folder`, and what they say into `README.md`; those of an
-    earlier report go.
+    """Write tables with rows and their legend into `folder`; remove those of earlier reports.
 
-    Raises
-    ------
-    InputError : the folder is a link.
+    Raises InputError where the folder is a link.
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
-    write_together(folder, {**contents, LEGEND: lambda: _legend(written).encode()})
+    write_together(folder, {**contents, LEGEND: lambda: _describe_tables(written).encode()})
 
 
-def _legend(tables: Mapping[str, pd.DataFrame]) -> str:
-    """What each table holds, and what its columns mean in which unit."""
+def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
-    said = {
+    wording = {
         markdown_text(name): (
             TABLES.get(name, "A table of a part of the page."),
             {column: known[name][column] for column in table if column in known[name]},
         )
         for name, table in tables.items()
     }
-    return document("tables.md", tables=said)
+    return document("tables.md", tables=wording)
 
 
-def _ladder(data: PageData) -> pd.DataFrame:
-    """The ladder in microseconds, as the page says them; the figure's axis has milliseconds."""
+def _ladder_table(data: PageData) -> pd.DataFrame:
+    """Return the ladder in microseconds; the figure's axis has milliseconds."""
     table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
     return table.rename(columns={name: f"{name.removesuffix('_ms')}_us" for name in times})
 
 
-def _verdicts(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
-    """The verdicts with why they are so, in words."""
+def _verdicts_table(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]

@@ -8,13 +8,12 @@ from decimal import ROUND_DOWN, ROUND_UP, Decimal
 from typing import Any
 
 MISSING = "–"
-"""Stands where there is no number."""
 NO_ANSWER = "no answer"
-"""Stands for an infinite error: a step without any answer."""
+"""Stands for an infinite error."""
 
 
 def time_text(nanoseconds: float) -> str:
-    """A duration in the unit that suits it, three significant digits."""
+    """Format a duration in the unit that suits it, three significant digits."""
     if not math.isfinite(nanoseconds):
         return MISSING
     for factor, unit in ((1e3, "ns"), (1e6, "µs"), (1e9, "ms")):
@@ -24,12 +23,12 @@ def time_text(nanoseconds: float) -> str:
 
 
 def micro_text(nanoseconds: float) -> str:
-    """A duration in µs without the unit, three significant digits, for a column of a table."""
+    """Format a duration in µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """`value` with so many significant digits and no exponent within 1e-4..1e7."""
+    """Format `value` with so many significant digits and no exponent within 1e-4..1e7."""
     if not math.isfinite(value):
         return MISSING
     if value == 0.0:
@@ -44,12 +43,12 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def rounded_down(value: float, digits: int = 3) -> str:
-    """As `significant`, but never more than `value`: what still holds when it is believed."""
+    """Format as `significant` does, but never above `value`: a bound that still holds."""
     return _rounded(value, digits, ROUND_DOWN)
 
 
 def rounded_up(value: float, digits: int = 3) -> str:
-    """As `significant`, but never less than `value`."""
+    """Format as `significant` does, but never below `value`."""
     return _rounded(value, digits, ROUND_UP)
 
 
@@ -62,7 +61,7 @@ def _rounded(value: float, digits: int, way: str) -> str:
 
 
 def error_text(value: float) -> str:
-    """An error: two significant digits, `no answer` when infinite."""
+    """Format an error: two significant digits, `no answer` when infinite."""
     if math.isnan(value):
         return MISSING
     if math.isinf(value):
@@ -73,7 +72,7 @@ def error_text(value: float) -> str:
 
 
 def share_text(share: float) -> str:
-    """A share in percent; 100 % and 0 % are printed only when they are exact."""
+    """Format a share in percent; 100 % and 0 % are printed only when they are exact."""
     if not math.isfinite(share):
         return MISSING
     percent = 100.0 * share
@@ -83,7 +82,7 @@ def share_text(share: float) -> str:
 
 
 def of_sample_text(share: float) -> str:
-    """A time as a share of the sample in percent, two significant digits; it may exceed 100 %."""
+    """Format a share of the sample in percent, two significant digits; it may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
 
@@ -96,50 +95,50 @@ def as_float(value: object) -> float:
 
 
 def count_text(value: object) -> str:
-    """A count with thin spaces between thousands; a missing one is a dash."""
+    """Format a count with thin spaces between thousands; a missing one is a dash."""
     number = as_float(value)
     return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
 
 
 def plural(count: float, word: str) -> str:
-    """`1 step`, `2 steps`."""
+    """Format a count with its noun: `1 step`, `2 steps`."""
     return f"{count_text(count)} {word if count == 1 else word + 's'}"
 
 
 def seconds_text(value: float) -> str:
-    """A settling time; an infinite one never settled."""
+    """Format a settling time; an infinite one never settled."""
     if math.isnan(value):
         return MISSING
     return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
 def interval_text(low: float, high: float) -> str:
-    """An interval in brackets."""
+    """Format an interval in brackets."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     return f"[{significant(low)}, {significant(high)}]"
 
 
 def and_list(words: list[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Join words: `a`, `a and b`, `a, b and c`."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def counted_list(counts: Iterable[tuple[str, int]]) -> str:
-    """Names with their counts, the largest first."""
+    """Join names with their counts, the largest first."""
     ordered = sorted(counts, key=lambda item: -item[1])
     return and_list([f"{name} ({count})" for name, count in ordered])
 
 
 def unmarked(text: str) -> str:
-    """Without the marks of Markdown, which a page and a terminal would show."""
+    """Remove the marks of Markdown, which a page and a terminal would show."""
     return text.replace("**", "").replace("`", "")
 
 
 def toml_text(value: Any) -> str:
-    """A number of six digits as a TOML float; of an array its rows."""
+    """Format a number of six digits as a TOML float; of an array its rows."""
     if isinstance(value, Iterable):
         return f"[{', '.join(map(toml_text, value))}]"
     text = f"{float(value):.6g}"

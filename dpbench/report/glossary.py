@@ -12,19 +12,19 @@ _HEAD = "# Glossary\n\nEvery term that dpbench prints. Columns stand in the refe
 
 @cache
 def topics() -> dict[str, dict[str, str]]:
-    """Meaning by term, by title of the topic."""
+    """Return the meaning by term, by title of the topic."""
     tables = tomllib.loads(_FILE.read_text(encoding="utf-8"))
     return {table.pop("title"): table for table in tables.values()}
 
 
 @cache
 def meanings() -> dict[str, str]:
-    """Meaning by term, whatever the topic."""
+    """Return the meaning by term over all topics."""
     return {term: text for terms in topics().values() for term, text in terms.items()}
 
 
 def as_markdown() -> str:
-    """`docs/glossary.md`."""
+    """Return the text of `docs/glossary.md`."""
     parts = [_HEAD]
     for title, terms in topics().items():
         rows = "\n".join(

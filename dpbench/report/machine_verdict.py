@@ -22,21 +22,21 @@ from dpbench.report.formats import (
 
 
 def verdict_text(disturbance: Disturbance) -> str:
-    """ "quiet", or "disturbed" and by what."""
+    """Return "quiet", or "disturbed" and by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
-    """What the harness's own solvers say, from the median of each [ns]."""
+    """Judge the harness by the median times of its own solvers [ns]."""
     missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]
-    said = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
+    wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
-    return f"{verdict} ({said})"
+    return f"{verdict} ({wording})"
 
 
 def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
-    """What is known of a machine, whatever ran on it."""
+    """List the properties of a machine."""
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
@@ -56,7 +56,7 @@ def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 
 def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """What disturbed some replays, as the kernel shows it."""
+    """List what disturbed some replays, as the kernel shows it."""
     disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
@@ -69,10 +69,9 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 
 def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """The configurations that leave the processor by their own doing, which is not the machine's
-    fault."""
+    """List the configurations that leave the processor by their own doing."""
     own = largest_of(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
-    said = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
-    return [("switches a configuration makes itself, not counted above", said)] if own else []
+    wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
+    return [("switches a configuration makes itself, not counted above", wording)] if own else []

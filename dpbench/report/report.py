@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
-from dpbench.report.csv_tables import tables_of
+from dpbench.report.csv_tables import build_tables
 from dpbench.report.machine_verdict import calibration_text, verdict_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import charts_of, drawn_figures
@@ -31,14 +31,14 @@ from dpbench.report.topics.all import topics_of
 from dpbench.report.verdict_text import counted
 
 TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
-"""The notes of the recommendation that are worth a line on a terminal."""
+"""Notes of the recommendation on a terminal."""
 BESIDE = ("slowdown", "random", "consequence")
-"""Topics that have a line of their own there where they are not the answer."""
+"""Topics with a line of their own on a terminal where they are not the answer."""
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What a report is made of."""
+    """Results with the recommendation and topics made of them."""
 
     results: Results
     data: PageData
@@ -53,12 +53,9 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """The report on some results, nothing written.
+        """Build the report on some results; write nothing.
 
-        Parameters
-        ----------
-        designs, capability : what lies beside them, see `topics_of`; baseline : as in
-            `write_report`.
+        designs, capability : as of `topics_of`; baseline : as of `write_report`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
         data = PageData.of(records, verdicts_of(records, requirements))
@@ -79,7 +76,7 @@ class Report:
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.data, self.recommendation, self.topics)
+        return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -88,8 +85,7 @@ class Report:
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List what a run ends with on a terminal, each line with a word for what it is about: the
-        answer, its notes, the count of the solvers, machine and harness."""
+        """List the last lines of a run on a terminal, each under a keyword."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         rows = [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts
@@ -100,15 +96,10 @@ class Report:
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if verdicts.of:
             rows.append(("solvers", f"{counted(verdicts)}."))
-        return [*rows, *self._machine_rows()]
-
-    def _machine_rows(self) -> Iterator[tuple[str, str]]:
-        """What of machine, harness and figures limits the results."""
         records = self.data.records
         disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:
-            yield "machine", f"{verdict_text(disturbance)}."
+            rows.append(("machine", f"{verdict_text(disturbance)}."))
         if medians := calibration_medians(records.calibration):
-            yield "harness", f"{calibration_text(medians)}."
-        if not can_draw():
-            yield "figures", f"{NOT_DRAWN}."
+            rows.append(("harness", f"{calibration_text(medians)}."))
+        return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

@@ -16,30 +16,29 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import made_by
 from dpbench.bench.record.result_folder import Results, accidents, load_results
 from dpbench.files.writing import write_bytes, write_text
-from dpbench.report.charts.render import encoded
-from dpbench.report.escaped import csv_bytes
+from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.section import Topic
-from dpbench.report.table import markdown
-from dpbench.report.topics.paper import Claim, claims, held_text, paper_topic
+from dpbench.report.table import csv_bytes, markdown
+from dpbench.report.topics.paper import Claim, claims, count_reproduced, paper_topic
 from dpbench.report.words import document
 from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
 RUNS = "runs"
-"""The folder of the runs, a result folder like any other, within that of the reproduction."""
+"""Result folder within that of the reproduction."""
 FORMATS = ("pdf", "svg")
 MOST_NAMED = 4
-"""So many claims that are not reproduced are named on the terminal."""
+"""Number of claims named on the terminal that are not reproduced."""
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What became of the paper.
+    """Result of reproducing the paper.
 
     Parameters
     ----------
-    lines : what to say of it, at most ten; remarks : what of the runs went wrong.
+    lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
     """
 
@@ -51,15 +50,14 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under an exact solver and the clipped law, and write what it shows.
+    """Run the paper's case under an exact solver and the clipped law, and write the results.
 
-    What is written is said by `write_reproduction`; the runs lie in the folder `runs` beside it.
-    Loops that were finished before are not run again.
+    Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
+    loops are not run again.
 
     Parameters
     ----------
     out : the folder; by default `results/paper`.
-    progress : told how far it is.
 
     Raises
     ------
@@ -70,7 +68,7 @@ def reproduce_paper(
 
 
 def write_reproduction(runs: Path, folder: Path) -> Reproduction:
-    """Write what the runs of a result folder say of the paper.
+    """Write the figures, data and claims of the paper from the runs of a result folder.
 
     `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
     """
@@ -86,29 +84,32 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_figures(folder, topic, laws_of(records), scenario)
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
-    write_text(folder / "claims.md", _document(topic, results))
+    write_text(folder / "claims.md", _claims_document(topic, results))
     judged = claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )
-    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *_places(folder))
-    return Reproduction(said, tuple(remarks), complete=lost == 0)
+    places = (
+        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
+        f"claims: {folder / 'claims.md'} and .csv",
+        f"runs: {folder / RUNS}; `dpbench report` makes their page",
+    )
+    wording = (f"{count_reproduced(judged)}.", *_list_contradicted(judged), stable, *places)
+    return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
 def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
-    """Figures 4 to 7 in every format, and what each draws."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
-            write_bytes(folder / f"{name}.{kind}", encoded(figure.chart, kind))
+            write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
         data = pd.concat([data_behind(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
-def _document(topic: Topic, results: Results) -> str:
-    """The claims and all that belongs to them, in Markdown."""
+def _claims_document(topic: Topic, results: Results) -> str:
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
@@ -116,17 +117,9 @@ def _document(topic: Topic, results: Results) -> str:
     return document("claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS)
 
 
-def _contradicted(judged: Sequence[Claim]) -> list[str]:
-    """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
+def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
+    """List the claims that the runs contradict or do not cover, at most `MOST_NAMED` of them."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
     return [unmarked(line) for line in named[:MOST_NAMED]] + unnamed
-
-
-def _places(folder: Path) -> list[str]:
-    return [
-        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
-        f"claims: {folder / 'claims.md'} and .csv",
-        f"runs: {folder / RUNS}; `dpbench report` makes their page",
-    ]

@@ -24,12 +24,13 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
+from dpbench.report.words import beside
 
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def requirements_text(requirements: Requirements) -> str:
-    """The requirements in one sentence."""
+    """State the requirements in one sentence."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
@@ -44,9 +45,13 @@ def requirements_text(requirements: Requirements) -> str:
     )
 
 
+_GROUPS = {"pass": "only otherwise"} | {
+    state: state for state in ("borderline", "late", "fail", "inconclusive", "not run")
+}
+
+
 def counted(verdicts: Verdicts) -> str:
-    """Count the solvers by their best verdict: pass at their default or only otherwise, and
-    the others; every solver once."""
+    """Count the solvers by their best verdict: pass by default, pass otherwise, and the others."""
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
@@ -60,23 +65,13 @@ def counted(verdicts: Verdicts) -> str:
         else:
             groups["pass"].append(best[solver].configuration.label)
     run, good = len(best) - len(groups["not run"]), len(groups["default"])
-    said = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
-    said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
-    return "; ".join(said)
-
-
-_GROUPS = {
-    "pass": "only otherwise",
-    "borderline": "borderline",
-    "late": "late",
-    "fail": "fail",
-    "inconclusive": "inconclusive",
-    "not run": "not run",
-}
+    wording = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
+    wording += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
+    return "; ".join(wording)
 
 
 def deployment_facts(solver: str) -> str:
-    """Licence, language and C code of a solver, in a sentence."""
+    """State licence, language and C code generation of a solver."""
     known = known_record(solver)
     if known is None:
         return "Its licence and language are not known here."
@@ -87,8 +82,10 @@ def deployment_facts(solver: str) -> str:
     )
 
 
-def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice) -> str:
-    """Why nothing is recommended."""
+def explain_no_recommendation(
+    view: Records, verdicts: Verdicts, recommendation: SolverChoice
+) -> str:
+    """Explain why nothing is recommended."""
     if recommendation.faster is not None:
         return (
             "Nothing that can go aboard passes; "
@@ -102,84 +99,39 @@ def why_nothing(view: Records, verdicts: Verdicts, recommendation: SolverChoice)
     return "Nothing is recommended: no solver passes in any configuration that was run."
 
 
-def usual_time(verdict: Verdict) -> str:
-    """Its p99, or its p50 where there are too few steps for one."""
+def usual_time_text(verdict: Verdict) -> str:
+    """Format the p99, or the p50 where there are too few steps for one."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(where(verdict.p99_run))}"
+    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(experiment_text(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
-    """The ratio of the step times of two configurations, with its interval or why it has none."""
+    """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
-    said = f"{significant(compared.ratio.value)} times as long over the same steps"
+    wording = f"{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
         few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
-        said += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
+        wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        said += f" (geometric mean, {interval})"
+        wording += f" (geometric mean, {interval})"
         if compared.tied:
-            return f"{said}: the two cannot be told apart"
-    return f"{said}; which is faster depends on the yardstick" if compared.unstable else said
+            return f"{wording}: the two cannot be told apart"
+    return f"{wording}; which is faster depends on the yardstick" if compared.unstable else wording
 
 
 def clauses(findings: Sequence[Finding]) -> str:
-    """What was found, in plain clauses."""
+    """Join findings in plain clauses."""
     return "; ".join(map(clause, findings))
 
 
-_WORDS = {
-    "no answer": "it leaves steps without an answer in {experiments}",
-    "inaccurate": "its first move is up to {error} of a rate-limit step off the optimum in {where}"
-    "{also_over}",
-    "failed": "{value:.0f} of {of} fail in {where}{some_also}",
-    "crashed": "its process ended in {where}: {detail}{also}",
-    "hung": "it did not return in {where}: {detail}{also}",
-    "p99 late": "its p99 is {time} in {where}",
-    "p95 late": "its p95 is already {time} in {where}",
-    "window late": "its p99 is {time} by {where}",
-    "deadline late": "its hardest step takes {time} in {where}, beyond the deadline",
-    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
-    "late timings": "{share} of {timings} in {where} exceed the p99 limit; the machine "
-    "explains {machine}{also}",
-    "past the deadline": "{share} of {timings} in {where} exceed the deadline; the machine "
-    "explains {machine}{also}",
-    "late at random": "{share} of {timings} in {where} exceed the p99 limit though the same step "
-    "is in time in another round; the machine explains {machine}{also}",
-    "perhaps late timings": "{share} of {timings} in {where} exceed the p99 limit, perhaps by the "
-    "machine, which explains {machine}{also}",
-    "perhaps past the deadline": "{share} of {timings} in {where} exceed the deadline, perhaps by "
-    "the machine, which explains {machine}{also}",
-    "p99 borderline": "its p99 of {time} in {where} is as near to the limit as rounds differ",
-    "p95 borderline": "its p95 of {time} in {where} is as near to the limit as rounds differ",
-    "deadline borderline": "its hardest step takes {time} in {where}, as near to the deadline as "
-    "rounds differ",
-    "loop borderline": "the median of its timings is {time} in {where}, a closed loop, as near to "
-    "the limit as rounds differ{also}",
-    "stopped": "{where} was stopped at its time limit ({value:.0f} of {steps})",
-    "lost": "the harness lost {where}: {detail}",
-    "ended": "{where} {outcome}: {detail}",
-    "uncertified": "{counted} of {where} have no certified optimum",
-    "remembered": "in {where} it answers a step that it has seen before faster than warming "
-    "explains, so its times there are of remembered answers",
-    "hidden work": "its other threads work {value:.2g} times as long as all timed calls take in "
-    "{where}{also}",
-    "not alone": "{where} was timed beside other work, or on another machine",
-    "no step": "{where} left no counting step",
-    "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
-    "short slow loop": "the median of its few timings is {time} in {where}, a closed loop{also}",
-    "no closed loop": "no closed loop was run",
-    "no replay": "no replay was run, so its time is not judged",
-    "absent": "not run in {experiments}",
-    "refused": "not run in {where} ({detail})",
-    "short": "not run whole in {where} ({planned} of {steps})",
-}
+_WORDS: dict[str, str] = beside(__file__)["findings"]
 
 
 def clause(finding: Finding) -> str:
-    """One finding as a plain clause."""
+    """Word one finding as a plain clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
@@ -189,7 +141,7 @@ def clause(finding: Finding) -> str:
     done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
     return _WORDS[finding.kind].format(
         **words,
-        where=where(first),
+        where=experiment_text(first),
         experiments=_experiments_text(finding.runs),
         detail=detail(first),
         outcome=first.outcome,
@@ -208,13 +160,13 @@ def clause(finding: Finding) -> str:
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """What the answer at one step of a run is worth."""
+    """Classify the answer at one step of a run."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
-def where(row: RunRecord) -> str:
-    """The scenario or replay of a run in words."""
+def experiment_text(row: RunRecord) -> str:
+    """Name the scenario or replay of a run."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -235,6 +187,6 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
 
 
 def judged_on(verdict: Verdict) -> str:
-    """What the answers of a configuration were judged on."""
+    """Count the loops and replays that a configuration was judged on."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

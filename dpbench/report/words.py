@@ -47,17 +47,17 @@ def _compiled(words: str) -> Template:
     return _environment().from_string(words)
 
 
-def filled(words: str, **values: Any) -> str:
-    """Words that are a template themselves, with values."""
+def fill_template(words: str, **values: Any) -> str:
+    """Fill a text that is itself a template."""
     return _compiled(words).render(values)
 
 
 def document(template: str, **values: Any) -> str:
-    """A document out of `documents/templates`."""
+    """Render a document of `documents/templates`."""
     return _environment().get_template(f"{template}.j2").render(values)
 
 
 @cache
 def beside(module: str) -> dict[str, Any]:
-    """The words of a module, by its file: those of the TOML file of its name."""
+    """Read the TOML file beside a module, of its name."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

@@ -11,11 +11,10 @@ from dpbench.bench.design import load_designs
 from dpbench.bench.record.result_folder import load_results, writing
 from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
-from dpbench.report.charts.render import FORMATS, can_draw, encoded
+from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.documents.comment import beside, worst_text
-from dpbench.report.documents.markdown import report_markdown
-from dpbench.report.documents.sent import PAGE, prepare
+from dpbench.report.documents.markdown import beside, report_markdown, worst_text
+from dpbench.report.documents.sent import PAGE, prepare_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
@@ -26,8 +25,7 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
 
     Parameters
     ----------
-    baseline : the solver that the page sets beside the answer; by default the one the suite names,
-        or the next best.
+    baseline : solver to compare with; by default the one the suite names, or the next best.
 
     Returns
     -------
@@ -52,14 +50,14 @@ def report_and_ending(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """As `write_report`; with it what a run ends with: see `Report.summary_rows`.
+    """Write the report as `write_report` does; also return `Report.summary_rows`.
 
     Parameters
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
-    statement : the file to write the one-page statement to, .pdf or .svg.
-    send : a folder to make that can be sent to others, see `documents/sent.py`.
-    solver, against : a solver to set beside others, in `SOLVER.md`, see `documents/comment.py`.
+    statement : file to write the one-page statement to, .pdf or .svg.
+    send : folder to make that can be sent to others, see `documents/sent.py`.
+    solver, against : solvers to compare in `SOLVER.md`, see `documents/comment.py`.
 
     Raises
     ------
@@ -79,12 +77,11 @@ def report_and_ending(
             write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        text = report_markdown(report.results, report.data, report.recommendation, report.topics)
-        write_text(folder / "report.md", text)
+        write_text(folder / "report.md", report_markdown(report))
         page = folder / "report.html"
         write_text(page, _page(folder, report))
         if send is not None:
-            prepare(folder, Path(send))
+            prepare_folder(folder, Path(send))
             write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
         ended = report.summary_rows()
         if solver is not None:
@@ -94,15 +91,14 @@ def report_and_ending(
 
 
 def _page(folder: Path, report: Report, *, light: bool = False) -> str:
-    """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
     r, light = report, light or not can_draw()
     return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
-    """Every figure that stands alone, in each format; those of an earlier report go."""
+    """Write every stand-alone figure in each format; remove those of an earlier report."""
     files = {
-        f"{name}.{kind}": partial(encoded, chart, kind)
+        f"{name}.{kind}": partial(encode_figure, chart, kind)
         for name, chart in report.figures.items()
         for kind in dict.fromkeys(formats)
     }

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench.analysis.records.run_steps import counting_of, run_steps
 from dpbench.files.writing import write_together
-from dpbench.report.csv_tables import TABLES, tables_of
+from dpbench.report.csv_tables import TABLES, build_tables
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
@@ -25,7 +25,6 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
 
 
 def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
-    """Every column but the description of the cell, every row, to the last digit."""
     runs = pd.read_parquet(written.folder / "runs.parquet").drop(columns="cell")
     table = _table(written.folder, "runs")
     assert list(table.columns) == list(runs.columns)
@@ -41,7 +40,6 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
 
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
-    """A row a configuration, with what contradicts it."""
     verdicts = written.report.data.verdicts.all
     table = _table(written.folder, "verdicts")
     assert len(table) == len(verdicts)
@@ -60,7 +58,6 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
 
 
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
-    """The hardest by time has the largest least time of its run, and so by error."""
     hard = _table(written.folder, "hard_steps")
     steps = dict(run_steps(counting_of(written.results.steps)))
     assert set(hard["by"]) == {"time", "iterations", "error"}
@@ -74,23 +71,12 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
         assert values[list(own.k).index(row["k"])] == pytest.approx(value, rel=1e-12)
 
 
-def test_every_experiment_and_level_of_a_solver_has_a_row(written: Any) -> None:
-    """States are those of the facts, run or not."""
-    facts = written.report.data
-    table = _table(written.folder, "experiments")
-    solvers, levels = len(facts.verdicts.of), len(facts.levels)
-    assert len(table) == solvers * levels * len(facts.experiments)
-    for row in table.to_dict("records"):
-        assert row["verdict"] == facts.state(int(row["id"]), int(row["experiment_id"]))
-
-
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
-    """Once, with every row; the page has the first of them."""
     rows = tuple((str(i),) for i in range(9))
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
     report = Report.of(records.results())
-    tables = tables_of(report.results, report.data, report.recommendation, [topic])
+    tables = build_tables(report.results, report.data, report.recommendation, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables
     assert topic.tables[0].page_rows == [list(row) for row in rows[:4]]
@@ -98,7 +84,6 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
 
 @pytest.mark.slow
 def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -> None:
-    """No cell that failed is hidden, and tables of an earlier report go."""
     records.loop("daqp", steps=20)
     records.refused("ecos", "it keeps no workspace", policy="reuse")
     records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
@@ -106,11 +91,7 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     write_together(out / "tables", {"old.csv": lambda: b"x\n1\n"})
     write_report(out)
     table = _table(out, "runs").set_index("solver")
-    assert table["outcome"].to_dict() == {
-        "daqp": "finished",
-        "ecos": "refused",
-        "highs": "crashed",
-    }
+    assert table["outcome"].to_dict() == {"daqp": "finished", "ecos": "refused", "highs": "crashed"}
     assert table.loc["ecos", "outcome_detail"] == "it keeps no workspace"
     assert _table(out, "verdicts").set_index("solver")["why"]["highs"] == (
         "its process ended in paper: signal 11"
@@ -118,11 +99,9 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     assert not (out / "tables" / "old.csv").exists()
 
 
-@pytest.mark.parametrize("topic", ["paper"])
-def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
-    """The rows on the page are those of the file."""
-    (shown,) = (one for one in written.report.topics if one.id == topic)
-    table = _table(written.folder, topic)
+def test_tables_of_topics_are_files_too(written: Any) -> None:
+    (shown,) = (topic for topic in written.report.topics if topic.id == "paper")
+    table = _table(written.folder, "paper")
     assert list(table.columns) == list(shown.tables[0].heads)
     assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)
 

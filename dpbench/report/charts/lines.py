@@ -20,10 +20,8 @@ def lines(
     *,
     limit: float | None = None,
 ) -> Any:
-    """Lines with points on logarithmic axes; a point that is not `good` is hollow.
+    """Draw lines with points on logarithmic axes; a point that is not `good` is hollow.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`, x and y positive.
     x, y : title and format of each axis; limit : drawn across.
     """
@@ -34,7 +32,7 @@ def lines(
     base = alt.Chart(table).encode(
         x=alt.X("x:Q", title=x[0], scale=close, axis=alt.Axis(format=x[1])),
         y=alt.Y("y:Q", title=y[0], scale=style.log_scale(), axis=alt.Axis(format=y[1])),
-        color=style.coloured("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
+        color=style.colour("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
         tooltip=["name:N", alt.Tooltip("x:Q", title=x[0]), style.tip("y:Q", y[0])],
     )
     dash = alt.StrokeDash("name:N", scale=style.names_scale(names, dashes), legend=None)
@@ -46,14 +44,12 @@ def lines(
     layers = [joined, dots]
     if limit is not None:
         layers.append(style.limit_rule(limit))
-    return style.styled(alt.layer(*layers, width=290, height=260), title, title)
+    return style.apply(alt.layer(*layers, width=290, height=260), title, title)
 
 
 def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Measured against asked, a dot each, with the line on which both are alike.
+    """Draw measured against requested values, with the line on which both are equal.
 
-    Parameters
-    ----------
     table : columns name, x and y, all positive.
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
@@ -61,20 +57,17 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     # Between decades the names of ticks would touch.
     decades = alt.Axis(values=[10.0**e for e in range(-3, 7)], format="~g")
     looks: dict[str, Any] = {"scale": scale, "axis": decades}
-    line = style.alike(low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks))
+    line = style.equality_line(
+        low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks)
+    )
     points = alt.Chart(table).mark_point(filled=True, size=70, color=style.PALETTE[0], opacity=1)
     points = points.encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
     names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
-    return style.styled(alt.layer(line, points, names, width=290, height=240), title, title)
+    return style.apply(alt.layer(line, points, names, width=290, height=240), title, title)
 
 
 def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Counts as tiles with the number in each; zero is pale.
-
-    Parameters
-    ----------
-    table : columns x, y, count.
-    """
+    """Draw counts as tiles with the number in each; zero is pale; table : columns x, y, count."""
     columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
     above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(
@@ -84,10 +77,10 @@ def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     )
     some = "datum.count > 0"
     squares = base.mark_rect(stroke="white").encode(
-        color=style.either(some, style.FILLS[3], style.FILLS[0])
+        color=style.choose(some, style.FILLS[3], style.FILLS[0])
     )
     numbers = base.mark_text(fontSize=12).encode(
-        text="count:Q", color=style.either(some, style.FAIL, style.PASS)
+        text="count:Q", color=style.choose(some, style.FAIL, style.PASS)
     )
     chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
-    return style.styled(chart, title, title)
+    return style.apply(chart, title, title)

@@ -40,15 +40,14 @@ class _ChartKey:
 
 
 def vega(chart: Any) -> dict[str, Any]:
-    """The specification compiled to Vega, which a page needs the smaller library for; without the
-    title, which stands above it there."""
-    compiled: dict[str, Any] = json.loads(_compiled(_ChartKey(chart)))
+    """Compile the chart to Vega without its title, which the page has above it."""
+    compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def svg(chart: Any, *, titled: bool = True) -> str:
-    """The figure as SVG with real text."""
-    return _drawn(_compiled(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
+    """Return the figure as SVG with real text."""
+    return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
 
 
 PROBE = """
@@ -63,8 +62,7 @@ NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (
 
 @cache
 def can_draw() -> bool:
-    """Whether the address space that this process may have is enough for the renderer, which
-    otherwise ends the process; tried in another one where there is a limit."""
+    """Return whether the renderer has enough address space; try it apart if that is limited."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return True
@@ -73,29 +71,27 @@ def can_draw() -> bool:
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
-@lru_cache(maxsize=64)
-def _compiled(chart: _ChartKey) -> str:
-    """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
+_svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
-    Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
-    """
+
+@lru_cache(maxsize=64)
+def _compile_chart(chart: _ChartKey) -> str:
+    """Compile a chart to Vega, with labels that avoid each other, which Vega-Lite cannot state."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
-    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(_json(chart.chart)))
-    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
+    # The tests validate every figure against the grammar, which takes longer than drawing it.
+    with alt.data_transformers.enable("default", max_rows=None):
+        plain = chart.chart.to_dict(validate=False)
+    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(plain))
+    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_newest_grammar())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
-        marks.append(_names())
+        marks.append(_label_mark())
     return json.dumps(specification)
 
 
-@lru_cache(maxsize=64)
-def _drawn(specification: str) -> str:
-    return vlc.vega_to_svg(specification)
-
-
-def _names() -> dict[str, Any]:
-    """Names of the points of the layer `NAMES`."""
+def _label_mark() -> dict[str, Any]:
+    """Return the mark of the labels of the layer `NAMES`."""
     place = {
         "type": "label",
         "size": {"signal": "[width, height]"},
@@ -119,35 +115,28 @@ def _names() -> dict[str, Any]:
     }
 
 
-def encoded(chart: Any, kind: str) -> bytes:
-    """The figure as a file of that kind, of `FORMATS`, or as an html page that fetches nothing."""
+def encode_figure(chart: Any, kind: str) -> bytes:
+    """Return the figure as a file of a kind of `FORMATS`, or as a self-contained HTML page."""
     if kind == "html":
         page = io.StringIO()
         chart.save(page, format="html", inline=True)
         return page.getvalue().encode()
     if kind == "svg":
         return svg(chart).encode()
-    drawn = _compiled(_ChartKey(chart))
+    drawn = _compile_chart(_ChartKey(chart))
     made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
     return made
 
 
 def save(chart: Any, path: Path) -> Path:
     """Write the figure in the format that the name of the file ends with, as `encoded` does."""
-    write_given(path, encoded(chart, path.suffix.lstrip(".")))
+    write_given(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 
-def _json(chart: Any) -> dict[str, Any]:
-    # The tests validate every figure against the grammar, which takes longer than drawing it.
-    with alt.data_transformers.enable("default", max_rows=None):
-        specification: dict[str, Any] = chart.to_dict(validate=False)
-    return specification
-
-
 @cache
-def _version() -> str:
-    """The newest version of the grammar that the compiler has, up to that of the charts."""
+def _newest_grammar() -> str:
+    """Return the newest version of the grammar that the compiler has, up to that of the charts."""
     wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
     known = list(vlc.get_vegalite_versions())
     return wanted if wanted in known else max(known, key=lambda v: [int(x) for x in v.split(".")])

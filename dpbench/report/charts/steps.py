@@ -12,33 +12,32 @@ from dpbench.report.charts import style
 
 COLUMNS = ("k", "time_us", "raw_us", "error", "iterations", "active", "failed")
 NO_ANSWER = 1e9
-"""What an infinite error is drawn as: JSON has no infinity, and the axis ends below."""
+"""Stands for an infinite error: JSON has no infinity, and the axis ends below."""
 _WIDTH = 620
 
 
 def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
-    """Four strips on one axis, three of a replay, which has no forces; a vertical line stands at
-    the parameter `at`.
+    """Draw the steps of a run as strips over k; the parameter `at` marks a step.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
-    error_limit : what the error of the first move may be.
+    error_limit : limit on the error of the first move.
     """
     at = alt.param(name="at", value=-1)
-    steps = _steps("steps", table)
+    steps = _named_chart("steps", table)
     rule = (
         style.inline({}).mark_rule(color=style.ACCENT, strokeWidth=1.5).transform_calculate(at="at")
     )
     rule = rule.transform_filter("datum.at >= 0").encode(x="at:Q").add_params(at)
     panels = [
-        (110, _time(steps.encode(x=_x()))),
-        (90, _error(steps.encode(x=_x()), error_limit)),
-        (80, _iterations(steps.encode(x=_x(last=forces is None)))),
+        (110, _draw_times(steps.encode(x=_step_axis()))),
+        (90, _draw_errors(steps.encode(x=_step_axis()), error_limit)),
+        (80, _draw_iterations(steps.encode(x=_step_axis(last=forces is None)))),
     ]
     if forces is not None:
-        panels.append((90, [_forces(_steps("forces", forces).encode(x=_x(last=True)))]))
+        panels.append(
+            (90, [_draw_forces(_named_chart("forces", forces).encode(x=_step_axis(last=True)))])
+        )
     chart = alt.vconcat(
         *(alt.layer(*parts, rule, height=height, width=_WIDTH) for height, parts in panels),
         spacing=6,
@@ -46,21 +45,21 @@ def strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float)
     )
     also = "" if forces is None else " and forces"
     about = f"Step time, error of the first move, iterations{also} of one run over its steps."
-    return style.styled(chart, "Step by step", about)
+    return style.apply(chart, "Step by step", about)
 
 
-def _steps(name: str, table: pd.DataFrame) -> alt.Chart:
-    """A chart of rows under a name, by which the page fills in those of another run."""
+def _named_chart(name: str, table: pd.DataFrame) -> alt.Chart:
+    """Return a chart of rows under the name by which the page replaces them."""
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return style.inline(*({str(k): v for k, v in row.items()} for row in rows), name=name)
 
 
-def _x(*, last: bool = False) -> alt.X:
+def _step_axis(*, last: bool = False) -> alt.X:
     axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
 
-def _time(steps: alt.Chart) -> list[Any]:
+def _draw_times(steps: alt.Chart) -> list[Any]:
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tip("raw:N", "largest timing [µs]")
@@ -72,7 +71,7 @@ def _time(steps: alt.Chart) -> list[Any]:
     return [span, base.mark_circle(size=9, opacity=0.9, color=style.ACCENT)]
 
 
-def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
+def _draw_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -80,34 +79,33 @@ def _error(steps: alt.Chart, error_limit: float) -> list[Any]:
     dots = dots.encode(
         tooltip=["k:Q", style.tip("error:Q", "error of the first move", 2)],
         y=alt.Y("shown:Q", title="error_move", scale=scale, axis=axis),
-        color=style.either("datum.failed", style.FAIL, style.SOFT),
-        size=style.either("datum.failed", 40, 9),
+        color=style.choose("datum.failed", style.FAIL, style.SOFT),
+        size=style.choose("datum.failed", 40, 9),
     )
     return [dots, style.limit_rule(error_limit)]
 
 
-def _iterations(steps: alt.Chart) -> list[Any]:
+def _draw_iterations(steps: alt.Chart) -> list[Any]:
     base = steps.encode(tooltip=["k:Q", "iterations:Q", "active:Q"])
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
     return [area, base.mark_circle(size=9, color=style.INK, opacity=0.9).encode(y="iterations:Q")]
 
 
-def _forces(forces: alt.Chart) -> Any:
+def _draw_forces(forces: alt.Chart) -> Any:
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),
-        color=style.coloured("force", FORCES, style.PALETTE[:3]),
+        color=style.colour("force", FORCES, style.PALETTE[:3]),
     )
 
 
 def pairs(first: str, second: str) -> Any:
-    """Scatter of step times on equal axes with the line where both are as fast; the page fills the
-    data set `pairs`: k, a_us, b_us, sequence.
+    """Draw the step times of two configurations on equal axes, with the line of equal times.
 
-    Parameters
-    ----------
-    first, second : what the axes say.
+    The page fills the data set `pairs`: k, a_us, b_us, sequence.
+
+    first, second : titles of the axes.
     """
     data = style.inline(name="pairs")
     scale = style.log_scale(nice=False, padding=6)
@@ -125,7 +123,7 @@ def pairs(first: str, second: str) -> Any:
         .mark_line(color=style.SOFT, strokeDash=[4, 3])
         .encode(x="at:Q", y="at:Q")
     )
-    return style.styled(
+    return style.apply(
         alt.layer(dots, ends, width=330, height=330),
         "Two configurations, step by step [µs]",
         "Step times of two configurations against each other; below the line the second is faster.",

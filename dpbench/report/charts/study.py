@@ -11,21 +11,18 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 HELD = ("all held", "some held", "none held")
-"""What is said of the seas at a point."""
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
-"""The states whose looks these have."""
+"""States with the same looks."""
 _SIDE = 110
 _HELD = "share of seas held"
 _CHOSEN = "datum.chosen"
 
 
 def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Share of seas held over two keys, a map a configuration.
+    """Draw the share of seas held over two keys, a map a configuration.
 
-    Parameters
-    ----------
     table : columns configuration, x, y, held and runs.
-    x, y : names of the keys; drawn : whether their values are drawn, and so no grid.
+    x, y : names of the keys; drawn : place values on axes instead of a grid.
     """
     names = list(dict.fromkeys(table["configuration"]))
     apart = alt.Scale(zero=False)
@@ -45,7 +42,7 @@ def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
     each = alt.Facet("configuration:N", title=None, sort=names)
-    return style.styled(
+    return style.apply(
         marks.properties(width=size, height=size).facet(each, columns=3), title, title
     )
 
@@ -60,16 +57,14 @@ def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
         color=alt.Color("configuration:N", title=None, legend=style.below()),
         tooltip=["configuration:N", style.tip("x:Q", x), style.tip("held:Q")],
     )
-    return style.styled(chart.properties(width=290, height=180), title, title)
+    return style.apply(chart.properties(width=290, height=180), title, title)
 
 
 def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea, the mean and its interval.
+    """Draw the excess error of each configuration: a dot a sea, the mean and its interval.
 
-    Parameters
-    ----------
     table : name and `mean_cm`, in the order of the rows; seas : name, behind_cm, point, replicate.
-    small_cm : what is small, drawn as a band.
+    small_cm : half the width of the band of small differences.
     """
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error behind the reference, same sea [cm]"
@@ -78,14 +73,14 @@ def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float)
     dots = dots.encode(
         x="behind_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
-    bars, means = _means(alt.Chart(table))
+    bars, means = _draw_means(alt.Chart(table))
     parts = (
-        _band(small_cm, alt.X("low:Q", title=across)),
+        _draw_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
     )
-    return style.styled(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
+    return style.apply(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
 
 
 _MEAN_TIPS = (
@@ -96,8 +91,8 @@ _MEAN_TIPS = (
 )
 
 
-def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """The intervals of the means, and the means; of columns as of `mean_cm`."""
+def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
+    """Draw the intervals of the means, and the means."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"
@@ -105,16 +100,15 @@ def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     return bars, means
 
 
-def _band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    """What is small, to either side of none."""
+def _draw_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
     ends = style.inline({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
 
 def design(*, tiles: bool) -> Any:
-    """The points of a design over two keys, coloured by how many of their seas are held: as tiles
-    with counts, or each where its values are. The page fills the data set `design`: x, y, state (of
-    `HELD`), said, chosen, point.
+    """Draw the points of a design by seas held, as tiles with counts or at their values.
+
+    The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
     """
     kind = "O" if tiles else "Q"
     # The page puts the names of the keys, of signals called like this, at the axes.
@@ -123,30 +117,31 @@ def design(*, tiles: bool) -> Any:
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
     tips = [style.tip("values:N", "point"), style.tip("said:N", "seas held")]
-    ring: dict[str, Any] = {"stroke": style.either(_CHOSEN, style.ACCENT, style.PAPER)}
-    ring["strokeWidth"] = style.either(_CHOSEN, 3, 1)
+    ring: dict[str, Any] = {"stroke": style.choose(_CHOSEN, style.ACCENT, style.PAPER)}
+    ring["strokeWidth"] = style.choose(_CHOSEN, 3, 1)
     base = style.inline(name="design").encode(x=x, y=y, tooltip=tips)
     title = "within the radius"
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
-        look = style.coloured("state", HELD, fills, title=title, symbolType="square")
+        look = style.colour("state", HELD, fills, title=title, symbolType="square")
         counts = base.mark_text(fontSize=12, color=style.INK).encode(text="said:N")
         parts = [base.mark_rect().encode(color=look, **ring), counts]
     else:
-        look = style.coloured("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
+        look = style.colour("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
         shapes = alt.Shape(
             "state:N", scale=style.names_scale(HELD, [style.STATE_SHAPES[i] for i in _LOOKS])
         )
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
-    return style.styled(chart, "Seas held", "Share of seas held at each point of the design.")
+    return style.apply(chart, "Seas held", "Share of seas held at each point of the design.")
 
 
 def behind_there(small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea of the chosen point, mean and
-    interval over all points. The page fills `means` (name, as of `mean_cm`, c, chosen) and
-    `seas` (name, c, behind_cm, replicate, chosen).
+    """Draw the excess errors at the chosen point, and the means over all points.
+
+    The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, behind_cm,
+    replicate, chosen).
     """
     who = style.tip("name:N", "configuration")
     rows = alt.Y("name:N", title=None, sort=None, axis=style.row_names())
@@ -155,9 +150,9 @@ def behind_there(small_cm: float) -> Any:
     seas = seas.encode(
         x=alt.X("behind_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
-        color=style.either(_CHOSEN, style.FAIL, style.SOFT),
-        size=style.either(_CHOSEN, 90, 28),
-        opacity=style.either(_CHOSEN, 1.0, 0.6),
+        color=style.choose(_CHOSEN, style.FAIL, style.SOFT),
+        size=style.choose(_CHOSEN, 90, 28),
+        opacity=style.choose(_CHOSEN, 1.0, 0.6),
         tooltip=[
             who,
             alt.Tooltip("replicate:Q", title="sea"),
@@ -165,18 +160,18 @@ def behind_there(small_cm: float) -> Any:
         ],
     )
     marked = style.whole_rows(
-        means, style.either(_CHOSEN, 0.2, 0.0), color=style.ACCENT
+        means, style.choose(_CHOSEN, 0.2, 0.0), color=style.ACCENT
     ).add_params(style.narrow())
-    parts = (_band(small_cm, opacity=0.6), marked, *_means(means), seas)
+    parts = (_draw_band(small_cm, opacity=0.6), marked, *_draw_means(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
-    return style.styled(chart, "Behind the reference", about)
+    return style.apply(chart, "Behind the reference", about)
 
 
 def seas_there() -> Any:
-    """The seas of the chosen point, those calm for the reference first: how far off the chosen
-    configuration and the reference are. The page fills `there`: order, value, who, replicate,
-    chosen; and `radius`: limit.
+    """Draw the largest radial error in each sea of the chosen point, chosen against reference.
+
+    The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """
     radius = (
         style.inline(name="radius")
@@ -191,10 +186,10 @@ def seas_there() -> Any:
     dots = dots.encode(
         x=x,
         y=alt.Y("value:Q", title="largest radial error, second half [m]"),
-        color=style.coloured("who", who, (style.ACCENT, style.SOFT)),
+        color=style.colour("who", who, (style.ACCENT, style.SOFT)),
         shape=alt.Shape("who:N", scale=style.names_scale(who, ("circle", "cross"))),
-        size=style.either(_CHOSEN, 170, 45),
-        strokeWidth=style.either(_CHOSEN, 3, 1.5),
+        size=style.choose(_CHOSEN, 170, 45),
+        strokeWidth=style.choose(_CHOSEN, 3, 1.5),
         tooltip=[
             style.tip("who:N", "configuration"),
             alt.Tooltip("replicate:Q", title="sea"),
@@ -203,4 +198,4 @@ def seas_there() -> Any:
     )
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
-    return style.styled(chart, "The seas of one point", about)
+    return style.apply(chart, "The seas of one point", about)

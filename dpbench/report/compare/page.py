@@ -1,5 +1,4 @@
-"""A comparison as a page, in the style of the report: one file, one chosen configuration, kept in
-the address."""
+"""Comparison of two result folders as a page: one file with one selection in the address."""
 
 from __future__ import annotations
 
@@ -18,61 +17,56 @@ from dpbench.files.writing import write_given
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison
-from dpbench.report.compare.tables import answer_line, shared_line, times_table
+from dpbench.report.compare.comparison import Comparison, answer_line, shared_line, times_table
 from dpbench.report.formats import interval_text, plural, unmarked
 from dpbench.report.page.data import columns_of
 from dpbench.report.page.pack import Block
-from dpbench.report.page.write import drawn, own, rendered, specification
+from dpbench.report.page.write import figure_markup, read_page_file, render_page, vega_specification
 from dpbench.report.table import Table
 
 SHOWN = 12
-"""So many of the slowest and of the fastest are drawn whatever is said of them; all of them are in
-the table below."""
+"""Number of the slowest and of the fastest in the figure; the table has all."""
 MOST_ROWS = 40
-"""So many rows of a table stand on the page before any script has run."""
+"""Rows of a table on the page before any script has run."""
 LEFT_OUT = ("B/A", "steps × rounds")
-"""Columns of the table of times that the page has no room for."""
+"""Columns of the table of times without room on the page."""
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page of a comparison."""
-    order = claims_first(comparison.compared)
-    charts = _charts(order, comparison.margin)
-    times = _times(order, comparison) if order else None
-    text = rendered(
+    order = sort_claims_first(comparison.compared)
+    charts = _draw_charts(order, comparison.margin)
+    times = _page_times_table(order, comparison) if order else None
+    others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
+    text = render_page(
         "compare",
-        [own(f"scripts/{name}.js") for name in ("common", "compare")],
+        [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
-        lead=lead(comparison),
+        lead=lead_sentences(comparison),
         lines=[unmarked(line) for line in comparison.lines],
-        figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
-        left_out=len(order) - len(furthest(ratio_table(order), SHOWN)) if order else 0,
+        figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
+        left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
-        tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
-        block="" if times is None else _block(order, charts, times),
+        tables=[replace(t, shown=MOST_ROWS) for t in others],
+        block="" if times is None else _pack_data(order, charts, times),
     )
     write_given(path, text.encode())
     return path
 
 
-def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+def _draw_charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
     if not order:
         return {}
     table = ratio_table(order)
     return {
-        "ratios": ratios(furthest(table, SHOWN), margin),
-        "both": both(table),
+        "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
+        "both": draw_both(table),
         "steps": pairs("A: step time", "B: step time"),
     }
 
 
-def _is_times(table: Table) -> bool:
-    return "B/A less machine" in table.heads
-
-
-def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
-    """The table of times in the order of the page, without `LEFT_OUT`."""
+def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Table:
+    """Return the table of times in the order of the page, without `LEFT_OUT`."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
@@ -80,18 +74,17 @@ def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
-    """The data of the page: every configuration with its steps, and the figures."""
-    block, addresses = Block(), _addresses(order)
+def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
+    block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
         {
             "name": one.timing.pair.a.configuration.label,
             "where": one.timing.pair.a.problem,
             "address": address,
-            "said": said(one),
+            "said": verdict_sentence(one),
             "cells": cells,
-            **_steps(block, one.timing),
+            **_pack_step_times(block, one.timing),
         }
         for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
@@ -99,13 +92,13 @@ def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> s
         "compared": columns_of(rows),
         "heads": list(times.heads),
         "row_step": ROW_STEP,
-        "charts": {name: specification(chart) for name, chart in charts.items()},
+        "charts": {name: vega_specification(chart) for name, chart in charts.items()},
     }
     return block.text(document)
 
 
-def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
-    """Both times of each step, element 0 for step `first`; nothing of a folder without steps."""
+def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
+    """Pack both times of each step, element 0 for step `first`; nothing without steps."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
@@ -114,8 +107,8 @@ def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
     return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
 
 
-def _addresses(order: Sequence[Compared]) -> list[str]:
-    """The fragment that chooses each, named as on the page of a run; of several alike, numbered."""
+def _selection_addresses(order: Sequence[Compared]) -> list[str]:
+    """Return the fragment that selects each; those of equal ones are numbered."""
     seen: dict[str, int] = {}
     addresses = []
     for one in order:
@@ -132,18 +125,25 @@ def _addresses(order: Sequence[Compared]) -> list[str]:
     return addresses
 
 
-def lead(comparison: Comparison) -> list[str]:
+def lead_sentences(comparison: Comparison) -> list[str]:
     """One sentence on times and accuracy, then what all configurations became slower by."""
     together = [
         unmarked(f"All together: {shared_line(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
-    return [unmarked(f"{_slower(comparison)} {_worse(comparison)}"), *together]
+    worse = [answer for answer in comparison.figures if answer.change == "worse"]
+    count = len(comparison.figures)
+    figures = f"No figure of accuracy or control of {count} is worse." if count else ""
+    if worse:
+        figures = (
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+        )
+    return [unmarked(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
-def said(one: Compared) -> str:
-    """The verdict on one configuration with its figures."""
+def verdict_sentence(one: Compared) -> str:
+    """State the verdict on one configuration with its figures."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
     return (
@@ -153,7 +153,7 @@ def said(one: Compared) -> str:
     )
 
 
-def _slower(comparison: Comparison) -> str:
+def _slower_sentence(comparison: Comparison) -> str:
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:
@@ -170,16 +170,8 @@ def _slower(comparison: Comparison) -> str:
     )
 
 
-def _worse(comparison: Comparison) -> str:
-    worse = [answer for answer in comparison.figures if answer.change == "worse"]
-    count = len(comparison.figures)
-    if not worse:
-        return f"No figure of accuracy or control of {count} is worse." if count else ""
-    return f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
-
-
 VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
-_COLOUR = style.coloured(
+_COLOUR = style.colour(
     "verdict", VERDICTS, (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN), columns=2
 )
 _SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
@@ -193,20 +185,18 @@ _TIPS = [
 ]
 
 
-def ratios(table: pd.DataFrame, margin: float) -> Any:
-    """B over A less the machine factor, with its interval; dotted: no difference.
+def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
+    """Draw B over A less the machine factor, with its interval; dotted: no difference.
 
-    Parameters
-    ----------
-    table : of `ratio_table`; margin : what is no difference.
+    table : of `ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(
         y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
         color=_COLOUR,
         tooltip=_TIPS,
     )
-    pick = style.picking("id")
-    rows = style.whole_rows(base, style.either(pick, 0.16, 0.0), 16, color=style.ACCENT)
+    pick = style.pick_selection("id")
+    rows = style.whole_rows(base, style.choose(pick, 0.16, 0.0), 16, color=style.ACCENT)
     rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow(), pick)
     axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
     title = "B / A, machine factor taken out"
@@ -216,36 +206,34 @@ def ratios(table: pd.DataFrame, margin: float) -> Any:
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
     rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
     chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
-    return style.styled(chart, "What became slower", "Ratio of step times of each configuration.")
+    return style.apply(chart, "What became slower", "Ratio of step times of each configuration.")
 
 
-def both(table: pd.DataFrame) -> Any:
+def draw_both(table: pd.DataFrame) -> Any:
     """Median step time in B against A on equal axes, a mark a configuration and sequence."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
     scale = style.log_scale(domain=[low, high])
     x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
     y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
-    pick = style.picking("id")
+    pick = style.pick_selection("id")
     points = alt.Chart(table).mark_point(filled=True, opacity=0.9)
     looks: dict[str, Any] = {"color": _COLOUR, "shape": _SHAPE, "tooltip": _TIPS}
-    points = points.encode(x=x, y=y, **looks, size=style.either(pick, 260, 55)).add_params(pick)
-    chart = alt.layer(style.alike(low, high, x, y), points, width=330, height=330)
-    return style.styled(chart, "Both runs", "Median step times of both runs against each other.")
+    points = points.encode(x=x, y=y, **looks, size=style.choose(pick, 260, 55)).add_params(pick)
+    chart = alt.layer(style.equality_line(low, high, x, y), points, width=330, height=330)
+    return style.apply(chart, "Both runs", "Median step times of both runs against each other.")
 
 
-def claims_first(compared: Sequence[Compared]) -> list[Compared]:
-    """What is slower first, the most so in front; then what is faster, then the rest by ratio."""
+def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
+    """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
-        compared,
-        key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value),
+        compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
     )
 
 
 def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
-    """A row for each, the largest ratio first: `id`, its number; name, ratio, low, high, verdict,
-    a_us, b_us, the median step in either run, and sequence."""
+    """Return a row for each comparison, the largest ratio first; `id` is its number."""
     rows = [
         {
             "id": str(i),
@@ -263,7 +251,7 @@ def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
 
 
-def furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
+def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
     """Of a `ratio_table` what is judged to differ, and so many at either end whatever is said."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)

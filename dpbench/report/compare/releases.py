@@ -12,14 +12,7 @@ import altair as alt
 import pandas as pd
 
 from dpbench.analysis.compare.pairs import differences
-from dpbench.analysis.compare.releases import (
-    FIGURES,
-    Histories,
-    History,
-    Release,
-    histories,
-    release_table,
-)
+from dpbench.analysis.compare.releases import FIGURES, Histories, History, histories, release_table
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import grouped
 from dpbench.analysis.verdict.requirements import Requirements
@@ -37,11 +30,11 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.page.write import drawn, rendered
+from dpbench.report.page.write import figure_markup, render_page
 from dpbench.report.table import Table, document
 
 BUSY = 0.05
-"""A load kernel that changed by more says that the machine was busier in one of two runs."""
+"""Relative change of the load kernel that shows a busier machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +43,8 @@ class Releases:
 
     Parameters
     ----------
-    lines : what was compared, and what changed, in a few lines; tables : one a solver of several
-        versions, and one of all the others; requirements : of the first folder.
+    lines : what was compared; tables : one a solver of several versions, and one of all the others.
+    requirements : of the first folder.
     """
 
     histories: Histories
@@ -61,12 +54,12 @@ class Releases:
     requirements: Requirements
 
     def markdown(self) -> str:
-        """The releases as a Markdown document."""
+        """Return the releases as a Markdown document."""
         return document("Solvers over their releases", [*self.lead, *self.lines], self.tables)
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Each solver of some result folders over its versions.
+    """Compare each solver of some result folders over its versions.
 
     Parameters
     ----------
@@ -90,37 +83,33 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     }
     over = histories(records, reference)
     requirements = Requirements.of(next(iter(records.values())).suite)
+    changed = _solvers_with_versions(over)
+    lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
+    lead = lead or ["No solver has two versions in these folders."]
     return Releases(
-        over, _lead(over), _comparability_notes(over, records), _tables(over), requirements
+        over, lead, _comparability_notes(over, records), _version_tables(over), requirements
     )
 
 
-def _changed(histories: Histories) -> dict[str, list[History]]:
-    """By solver, the histories of those with several versions."""
+def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
+    """Return, by solver, the histories of those with several versions."""
     by_solver = grouped(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
-def _lead(histories: Histories) -> list[str]:
-    """A sentence for each solver of several versions, from its most usual configuration."""
-    by_solver = _changed(histories)
-    if not by_solver:
-        return ["No solver has two versions in these folders."]
-    return [_sentence(solver, own_histories) for solver, own_histories in by_solver.items()]
-
-
-def _sentence(solver: str, own_histories: Sequence[History]) -> str:
-    """Times of its most usual replay; errors and failed steps of all that both releases ran."""
+def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
+    """State times of the most usual replay; errors and failed steps of all common runs."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
-    failed = " → ".join(_count(largest([r.failed_steps for r in side])) for side in sides)
+    failed = " → ".join(_count_per_round(largest([r.failed_steps for r in side])) for side in sides)
     versions = " → ".join(release.version for release in ends[0])
-    return f"{solver} {versions}: {_took(changed)}; largest error {errors}, failed steps {failed}."
+    times = _state_times(changed)
+    return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
 
 
-def _took(changed: Sequence[History]) -> str:
+def _state_times(changed: Sequence[History]) -> str:
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -160,8 +149,8 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
     return lines
 
 
-def _tables(histories: Histories) -> list[Table]:
-    changed = _changed(histories)
+def _version_tables(histories: Histories) -> list[Table]:
+    changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
@@ -169,7 +158,7 @@ def _tables(histories: Histories) -> list[Table]:
     )
     tables = [
         Table.of(
-            [row for history in own_histories for row in _rows(history, histories)],
+            [row for history in own_histories for row in _version_rows(history, histories)],
             f"{solver} over its releases",
             note=note,
             text_columns=4,
@@ -179,7 +168,7 @@ def _tables(histories: Histories) -> list[Table]:
     rest = [history for history in histories.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, histories)]
+        rows = [{"solver": h.run.solver} | row for h in rest for row in _version_rows(h, histories)]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
@@ -188,10 +177,10 @@ def _tables(histories: Histories) -> list[Table]:
 
 
 BEFORE = ("to the one before", "load kernel")
-"""Columns about the release before."""
+"""Columns on the release before."""
 
 
-def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
+def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -199,27 +188,25 @@ def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
             "configuration": label,
             "problem": f"{run.problem}, {run.mode.replace('_', ' ')}",
             "version": release.version,
-            "folders": _folders(release, histories),
+            "folders": "all"
+            if len(release.runs) == histories.folders
+            else and_list(list(release.runs)),
             f"p50{unit}": _time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
             f"p99{unit}": _time(release.p99, histories),
             f"largest step{unit}": _time(release.largest, histories),
             "largest error": error_text(release.error_move),
-            "claimed, not true": _count(release.claimed_not_true),
-            "failed steps": _count(release.failed_steps),
+            "claimed, not true": _count_per_round(release.claimed_not_true),
+            "failed steps": _count_per_round(release.failed_steps),
             "outcome": release.outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)
     ]
 
 
-def _folders(release: Release, histories: Histories) -> str:
-    return "all" if len(release.runs) == histories.folders else and_list(list(release.runs))
-
-
-def _count(value: float) -> str:
-    """A count per round, whole where it is in every round."""
+def _count_per_round(value: float) -> str:
+    """Format a count per round, whole where it is in every round."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
@@ -229,9 +216,8 @@ def _time(value: float, histories: Histories) -> str:
 
 AGES = {0: "newest release", 1: "earlier release"}
 _WIDTH = 260
-"""Narrow enough for a telephone, names included."""
+"""Narrow enough for a phone, names included."""
 MOST_PANELS = 4
-"""So many problems are drawn; all of them are in the tables."""
 
 
 def write_releases(path: Path, releases: Releases) -> Path:
@@ -246,8 +232,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
             release_errors(table, releases.requirements.error_move)
         ),
     }
-    figures = [(caption, drawn(chart)) for caption, chart in charts.items() if len(table)]
-    text = rendered(
+    figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
+    text = render_page(
         "releases",
         lead=releases.lead,
         lines=releases.lines,
@@ -260,56 +246,52 @@ def write_releases(path: Path, releases: Releases) -> Path:
 
 
 def release_times(table: pd.DataFrame, unit: str) -> Any:
-    """A row per version: point p50, bar to p99, line to the largest step; a panel per problem.
+    """Draw p50, p99 and largest step of each version, a panel per problem.
 
-    Parameters
-    ----------
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
-    base = _base(table)
-    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_axis("~g"))
+    base = _version_rows_chart(table)
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_value_axis("~g"))
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     known = base.transform_filter("isValid(datum.p99)")
     bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
-    layers = (line, bar, _point(base, x))
-    return _panels(layers, "Step time", "Step times of each solver, version by version.")
+    layers = (line, bar, _draw_points(base, x))
+    return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
 
 
 def release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """A row per version: the largest error of the first move, against what the requirements allow.
+    """Draw the largest error of the first move of each version, against its limit.
 
-    Parameters
-    ----------
     table : as of `release_times`; an error of 0 or none at all has no point.
     """
     title = "largest error of the first move [rate-limit steps]"
-    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_axis(".0e"))
-    drawn = _base(table).transform_filter("isFinite(datum.error) && datum.error > 0")
+    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_value_axis(".0e"))
+    drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
     rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
-    layers = (rule, _point(drawn, x))
-    return _panels(layers, "Error", "Largest error of each solver, version by version.")
+    layers = (rule, _draw_points(drawn, x))
+    return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
-def _axis(form: str) -> alt.Axis:
+def _value_axis(form: str) -> alt.Axis:
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
-def _base(table: pd.DataFrame) -> Any:
+def _version_rows_chart(table: pd.DataFrame) -> Any:
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
-        color=style.coloured("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
+        color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
         shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
         tooltip=["label:N", *(style.tip(f"{name}:Q") for name in FIGURES)],
     )
 
 
-def _point(base: Any, x: alt.X) -> Any:
+def _draw_points(base: Any, x: alt.X) -> Any:
     return base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
 
 
-def _panels(layers: Sequence[Any], title: str, description: str) -> Any:
+def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)
-    return style.styled(chart.facet(row=row).resolve_scale(y="independent"), title, description)
+    return style.apply(chart.facet(row=row).resolve_scale(y="independent"), title, description)

@@ -1,73 +1,68 @@
-"""`report.md`, short enough for a pull request: recommendation, one table, conditions."""
+"""Markdown for pull requests: `report.md`, and the comparison of one solver with others."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
-from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.records.run_steps import Measure
+from dpbench.analysis.records.worst_steps import WorstStep, value_at, worst_steps
+from dpbench.analysis.times.contrasts import paired_comparison
+from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.result_folder import Results
-from dpbench.report.escaped import markdown_line, markdown_text
-from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
+from dpbench.errors import UnknownNameError, one_of
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    count_text,
+    error_text,
+    rounded_down,
+    time_text,
+)
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.page.section import Topic
-from dpbench.report.table import markdown
+from dpbench.report.report import Report
+from dpbench.report.table import markdown, markdown_line, markdown_text, one_line
+from dpbench.report.verdict_text import answer_text, clauses, paired_text, requirements_text
 
 MOST_BYTES = 8000
-"""A comment on a pull request is read when it is one screen or two."""
+"""One or two screens."""
 HEAD = (
-    *(
-        "solver",
-        "call mode",
-        "verdict",
-        "p50",
-        "p99",
-        "p99 of timings",
-        "worst p99",
-        "hardest step",
-    ),
-    *("speed margin", "largest error", "failed"),
+    *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
+    *("hardest step", "speed margin", "largest error", "failed"),
 )
 
 
-def report_markdown(
-    results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
-) -> str:
-    """The report in Markdown, at most `MOST_BYTES` long."""
-    suite = results.suite
+def report_markdown(report: Report) -> str:
+    """Return the report in Markdown, at most `MOST_BYTES` long."""
+    data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    said = (
-        [recommendation.sentence, *(note for _, note in recommendation.notes)]
-        if data.verdicts.of or not lead
-        else []
-    )
+    wording = []
+    if data.verdicts.of or not lead:
+        wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     valid = ", ".join(chip.text for chip in recommendation.chips)
     after = [f"Valid for: {valid}."] if valid else []
     after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
-        f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
-        *map(markdown_line, [*lead, *said]),
+        f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
+        *map(markdown_line, [*lead, *wording]),
         solver_table(data, best_of_each(data.verdicts)),
         *map(markdown_line, after),
-    ]
-    parts.append(
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
-        "`runs.parquet`, `steps.parquet`."
-    )
+        "`runs.parquet`, `steps.parquet`.",
+    ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     return cut(text, MOST_BYTES, "tables/verdicts.csv")
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
-    """A row for each configuration, in Markdown; empty without one."""
+    """Return a Markdown row for each configuration; empty without one."""
     rows = solver_rows(data, verdicts)
     return markdown(HEAD, rows, 3) if rows else ""
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """A row for each configuration, under `HEAD`."""
+    """Return a row for each configuration, under `HEAD`."""
     return [
         (
             verdict.configuration.solver,
@@ -94,3 +89,105 @@ def cut(text: str, most_bytes: int, elsewhere: str) -> str:
         return text
     kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
     return f"{kept}\n\nMore rows: `{elsewhere}`.\n"
+
+
+USUAL = ("osqp", "daqp")
+"""Solvers to compare with by default."""
+COMMENT_BYTES = 3000
+"""One screen."""
+MOST_CONFIGURATIONS = 3
+"""Rows of the solver itself."""
+
+
+def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str, list[WorstStep]]:
+    """Compare one solver with others in `COMMENT_BYTES` of Markdown; also return its worst steps.
+
+    others : solvers to compare with; by default those of `USUAL` that ran.
+
+    Raises InputError for a solver that was not run.
+    """
+    data, machine = report.data, report.recommendation.machine
+    best = {v.configuration.solver: v for v in best_of_each(data.verdicts)}
+    for option, name in (("--for", solver), *(("--against", other) for other in others)):
+        if name not in best:
+            raise UnknownNameError(option, "", repr(name), one_of(name, sorted(best)))
+    named = others or [name for name in USUAL if name in best]
+    chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
+    worst = worst_steps(data.records, solver)
+    own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
+    names = and_list([v.configuration.solver for v in chosen]) or "nobody"
+    suite = report.results.suite
+    made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
+    parts = [
+        f"# {markdown_text(solver)} beside {markdown_text(names)}",
+        markdown_line(_verdict_sentence(data, best[solver])),
+        solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
+        "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
+        _worst_table(data, worst, chosen),
+        "\n".join(f"    {one_line(step.export)}" for step in worst),
+        markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
+    ]
+    return cut(
+        "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
+    ), worst
+
+
+def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
+    label = verdict.configuration.label
+    passed = f"`{label}` passes everywhere it was run."
+    if verdict.causes:
+        verb = "is late" if verdict.state == "late" else "fails"
+        return f"`{label}` {verb}: {clauses(verdict.causes)}."
+    wording = clauses(verdict.missing)
+    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
+
+
+def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
+    faster, slower = fastest_first([own, other])
+    wording = paired_text(paired_comparison(data.records, faster, slower))
+    names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
+    return f"{names}: {wording}."
+
+
+def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+    if not worst:
+        return ""
+    names = [verdict.configuration.solver for verdict in others]
+    heads = ("worst by", "step", "call mode", "figure", "its median", "answer", *names)
+    rows = [
+        (
+            step.measure,
+            f"{step.k} of {step.run.problem}",
+            step.run.configuration.options,
+            _figure_text(step.measure, step.value),
+            _figure_text(step.measure, step.median),
+            answer_text(step.step, 0),
+            *(
+                _figure_text(step.measure, value_at(data.records, step, v.configuration))
+                for v in others
+            ),
+        )
+        for step in worst
+    ]
+    return markdown(heads, rows, 3)
+
+
+def _figure_text(measure: Measure, value: float) -> str:
+    if measure == "time":
+        return time_text(value)
+    return error_text(value) if measure == "error" else count_text(value)
+
+
+def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
+    """For the end of a report on a terminal: each worst step, and the command that exports it."""
+    return [
+        (
+            f"worst {step.measure}",
+            f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
+            f"{_figure_text(step.measure, step.value)}, median "
+            f"{_figure_text(step.measure, step.median)}; "
+            f"{step.export}",
+        )
+        for step in worst
+        if not math.isnan(step.value)
+    ]

@@ -1,7 +1,6 @@
-"""The statement: one page that a control engineer can give to a class society.
+"""Statement: one page that a control engineer can give to a class society.
 
-What is recommended, in numbers; where that is valid; what was run it on, with hashes; what is not
-covered. It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
+It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
 
 from __future__ import annotations
@@ -46,17 +45,15 @@ class Line:
 
 
 def statement_svg(folder: Path, results: Results, data: PageData) -> str:
-    """The statement on a result folder as SVG, A4.
+    """Return the statement on a result folder as SVG, A4.
 
-    Raises
-    ------
-    InputError : when nothing can be recommended, so that there is nothing to state.
+    Raises InputError when nothing can be recommended, so that there is nothing to state.
     """
     chosen = choose_solver(data.verdicts).chosen
     if chosen is None or chosen.state != "pass":
         found = "no configuration that passes everywhere and can go aboard"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
-    return _page_svg(_lines(folder, results, data, chosen))
+    return _render_svg(_format_lines(folder, results, data, chosen))
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
@@ -78,11 +75,13 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "`": {"size": 7.5},
     "~": {"size": 8.5},
 }
-"""Of a line of the template, by the mark that it begins with; one without is wrapped."""
+"""Look of a line by the mark it begins with; a line without one is wrapped."""
 
 
-def _lines(folder: Path, results: Results, data: PageData, chosen: Verdict) -> Iterator[Line]:
-    for line in _text(folder, results, data, chosen).splitlines():
+def _format_lines(
+    folder: Path, results: Results, data: PageData, chosen: Verdict
+) -> Iterator[Line]:
+    for line in _fill_statement(folder, results, data, chosen).splitlines():
         mark, _, text = line.partition(" ")
         if mark in _LOOKS:
             yield Line(text, **_LOOKS[mark])
@@ -90,7 +89,7 @@ def _lines(folder: Path, results: Results, data: PageData, chosen: Verdict) -> I
             yield from map(Line, textwrap.wrap(" ".join(line.split()), 104))
 
 
-def _text(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
+def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
     c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
@@ -119,7 +118,7 @@ def _text(folder: Path, results: Results, data: PageData, chosen: Verdict) -> st
     )
 
 
-def _page_svg(lines: Iterable[Line]) -> str:
+def _render_svg(lines: Iterable[Line]) -> str:
     """Render lines of text as one SVG page."""
     parts, y = [], float(MARGIN)
     for line in lines:

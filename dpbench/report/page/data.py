@@ -1,12 +1,9 @@
-"""What the page knows of a result folder: what was run where, and the packed steps of each run.
-
-The page refers to a configuration and an experiment by their numbers.
-"""
+"""Data of the page: the runs by configuration and experiment, both by number, and packed steps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Self
@@ -17,13 +14,87 @@ from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, Track, tr
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
+from dpbench.analysis.statistics import none_of
 from dpbench.analysis.suites.study import Study, studies
+from dpbench.analysis.suites.study_pictures import behind_cm, mean_cm, worst_run
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.report.formats import as_float
-from dpbench.report.page.pack import Block
-from dpbench.report.page.steps import MOST_HARD, Room, pack_steps, pack_track
-from dpbench.report.page.studies import MOST_LOOPS, opening, shown, study_document
+from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
+
+MOST_RUNS = 20_000
+"""Runs of studies on the page with their errors; the files have all."""
+MOST_LOOPS = 400
+"""Runs of studies on the page with their steps."""
+
+
+def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """Select the runs of studies for the page, the first sea of every point first."""
+    solving = [run for run in runs if not run.is_baseline_law]
+    return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
+
+
+def study_document(
+    study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
+) -> dict[str, Any]:
+    """Return the data of a study for the page's script.
+
+    runs : those that are shown, by run_id.
+    number_of : number on the page of a configuration, by name.
+    """
+    rows = study.runs[study.runs["run_id"].isin(list(runs))]
+    names = [c.name for c in study.configurations if c.name in number_of]
+    rows = rows[rows["configuration"].isin(names)]
+    place = {name: i for i, name in enumerate(names)}
+    return {
+        "name": study.name,
+        "radius_m": study.radius_m,
+        "none_of": none_of(study.realisations),
+        "reference": place.get(study.reference, 0),
+        "keys": [str(key) for key in study.points],
+        "points": [int(point) for point in study.points.index],
+        "values": [
+            [None if isinstance(x, float) and not math.isfinite(x) else x for x in column.tolist()]
+            for _, column in study.points.items()
+        ],
+        "names": names,
+        "c": [number_of[name] for name in names],
+        "means": [_mean_excess(study, name) for name in names],
+        "runs": {
+            "of": [place[name] for name in rows["configuration"]],
+            "point": rows["point"].tolist(),
+            "sea": rows["replicate"].tolist(),
+            "held": [int(held) for held in rows["held"]],
+            "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
+            "behind_cm": _round_values(behind_cm(study, rows)),
+            "id": rows["run_id"].tolist(),
+        },
+    }
+
+
+def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
+    """Choose the run that a page on a study opens with; None where nothing is shown.
+
+    Of the configuration that holds fewest seas, or else the one farthest from the exact loop; a sea
+    that it does not hold, or else the one in which it is farthest off.
+    """
+    kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
+    worst = worst_run(study, list(kept))
+    return None if worst is None else kept[worst]
+
+
+def _mean_excess(study: Study, name: str) -> dict[str, Any]:
+    """Return the mean over all seas with its interval [cm], and the share that is held."""
+    (found,) = (c for c in study.configurations if c.name == name)
+    known: dict[str, Any] = {"held": found.held, "pairs": 0}
+    if found.error_excess_m is None or found.error_excess_m.pairs == 0:
+        return known
+    return known | mean_cm(found.error_excess_m)
+
+
+def _round_values(values: Iterable[float]) -> list[float | None]:
+    """Round to four digits, as the page prints; None for what is missing."""
+    return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
 
 
 @dataclass(eq=False)
@@ -34,8 +105,8 @@ class PageData(RunMatrix):
 
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """The data of some records; of studies those that the page has room for."""
-        return cls.from_records(records, verdicts, shown(records.study), MOST_LOOPS)
+        """Select the data of some records; of studies the runs that the page has room for."""
+        return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
 
     @cached_property
     def studies(self) -> list[Study]:
@@ -45,32 +116,30 @@ class PageData(RunMatrix):
     @cached_property
     def study_documents(self) -> list[dict[str, Any]]:
         """What the script of the page knows of each."""
-        runs = {run.run_id: run for run in shown(self.records.study)}
+        runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
         numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Configuration and experiment that a page opens with on which nothing is judged but a
-        study; None of another."""
+        """Numbers of the configuration and experiment that a page on studies alone opens with."""
         if self.judged_experiments or not self.studies:
             return None
-        run = opening(self.studies[0], shown(self.records.study))
+        run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
         if run is None:
             return None
         return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
 
     @cached_property
     def kept(self) -> dict[str, KeptRun]:
-        """What the page keeps of every run that left a counting step, by its id; in the order of
-        the steps, which are read once."""
+        """Kept steps of every run with a counting step, by id, in the order of the steps file."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, KeptRun] = {}
         read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
             run = runs[run_id]
-            limits = self._limits(run) if run.mode == "closed_loop" else None
+            limits = self._force_limits(run) if run.mode == "closed_loop" else None
             track = None if limits is None else track_of(rows, limits, room.points)
             kept[run_id] = KeptRun.of(steps, room.steps, track)
         return kept
@@ -87,16 +156,16 @@ class PageData(RunMatrix):
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
-            entry, kept = self._cell(c, p, run), self.kept.get(run.run_id)
+            entry, kept = self._describe_run(c, p, run), self.kept.get(run.run_id)
             if kept is not None:
-                entry |= pack_steps(self.block, kept) | {"hard": _hard(kept, hard)}
+                entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
                 if kept.track is not None:
                     entry |= pack_track(self.block, kept.track, references.get(p))
                     entry["reference"] = p not in references
                     references.setdefault(p, kept.track)
             yield entry
 
-    def _cell(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+    def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
         return {
             "c": c,
             "p": p,
@@ -116,7 +185,7 @@ class PageData(RunMatrix):
             "settle_s": number(run.settle_s),
         }
 
-    def _limits(self, run: RunRecord) -> Any:
+    def _force_limits(self, run: RunRecord) -> Any:
         scenario = self.scenario(run)
         if scenario is None:
             return None
@@ -128,8 +197,8 @@ class PageData(RunMatrix):
         return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
 
 
-def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
-    """The hardest steps by each measure: k, figure, status, claimed, true, active limits."""
+def _hardest_steps(run: KeptRun, count: int) -> list[list[list[Any]]]:
+    """Return the hardest steps by each measure: k, figure, status, claimed, true, active limits."""
     return [
         [
             [row.k, number(row.value), row.status, int(row.claimed), int(row.true), row.n_active]
@@ -140,7 +209,7 @@ def _hard(run: KeptRun, count: int) -> list[list[list[Any]]]:
 
 
 def number(value: object) -> float | str | None:
-    """A number as JSON has it: None where it is missing, "inf" where it is infinite."""
+    """Convert a number to JSON: None where it is missing, "inf" where it is infinite."""
     x = as_float(value)
     if math.isnan(x):
         return None
@@ -148,6 +217,6 @@ def number(value: object) -> float | str | None:
 
 
 def columns_of(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Rows of one kind as columns."""
+    """Turn rows of one kind into columns."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}

@@ -15,27 +15,32 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style
 from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.live import SECTIONS
+from dpbench.report.page.pack import FLAGS
 from dpbench.report.page.recommendation import Recommendation, call_text
-from dpbench.report.page.steps import FLAGS
 from dpbench.report.page.terms import Word
 
 
 def page_document(
     data: PageData, results: Results, recommendation: Recommendation, words: Mapping[int, Word]
 ) -> dict[str, Any]:
-    """Everything but the figures; arrays of numbers go into `data.block`.
+    """Return all data of the page but the figures; arrays of numbers go into `data.block`.
 
-    Parameters
-    ----------
-    words : on each experiment, by its number.
+    words : descriptions of experiments, by number.
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}
-    rows = [_configuration(data, recommendation, c, verdicts.get(c)) for c in data.configurations]
+    rows = [
+        _describe_configuration(data, recommendation, c, verdicts.get(c))
+        for c in data.configurations
+    ]
     document: dict[str, Any] = {
-        "solvers": {c.solver: _solver(c.solver) for c in data.configurations},
+        "solvers": {
+            name: {"family": family_of(name), "method": known.method if known else ""}
+            for name in dict.fromkeys(c.solver for c in data.configurations)
+            for known in [known_record(name)]
+        },
         "configurations": columns_of(rows),
-        "experiments": _experiments(data, words),
+        "experiments": _describe_experiments(data, words),
         "cells": columns_of(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
@@ -44,17 +49,16 @@ def page_document(
             "deadline_ms": data.requirements.deadline_ms,
             "p99_ms": data.requirements.p99_ms,
         },
-        "answer": _opening(data, results, recommendation),
+        "answer": _first_selection(data, results, recommendation),
     }
     for section in SECTIONS:
         document |= section.data(data, results)
     return document
 
 
-def _configuration(
+def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
-    """What the page says of a configuration; of one that is not judged only what it is."""
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **configuration_columns(c),
@@ -68,14 +72,13 @@ def _configuration(
         "failed": None if v is None else v.failed_steps,
         "timed_at": None if v is None else data.timed_at(v),
         "call": call_text(c),
-        **_margin(data, c),
-        **_longest(data, c),
+        **_describe_margin(data, c),
+        **_longest_timing(data, c),
     }
 
 
-def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the steps of windows that bound it: the
-    experiment of their loop, the sample and the time [ns]."""
+def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
+    """Return the speed margin and the window steps that bound it: experiment, k, time [ns]."""
     margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
@@ -93,17 +96,18 @@ def _margin(data: PageData, c: Configuration) -> dict[str, Any]:
     return {"margin": number(margin.factor), "bounds": bounds}
 
 
-def _longest(data: PageData, c: Configuration) -> dict[str, Any]:
-    """The largest single timing of a configuration [ns], and its experiment."""
+def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
+    """Return the largest single timing of a configuration [ns], and its experiment."""
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
     return {"longest": number(run.raw_max_ns), "longest_at": data.experiments.index(experiment)}
 
 
-def _opening(data: PageData, results: Results, recommendation: Recommendation) -> dict[str, Any]:
-    """What the page opens with: two configurations, and the step that the suite is about; and of
-    each solver the configuration that the figures of the answer show."""
+def _first_selection(
+    data: PageData, results: Results, recommendation: Recommendation
+) -> dict[str, Any]:
+    """Return the selection that the page opens with, and the best configuration of each solver."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (
@@ -123,36 +127,35 @@ def _opening(data: PageData, results: Results, recommendation: Recommendation) -
     }
 
 
-def _experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
-    """What the page says of each experiment, from the first run there; the seas of a study whose
-    loops the page has no room for are experiments without one."""
+def _describe_experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
+    """Describe each experiment by its first run; a sea without a loop on the page has none."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
-        _experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
+        _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
         for p, experiment in enumerate(data.experiments)
     ]
 
 
-def _experiment(data: PageData, experiment: Experiment, run: RunRecord | None) -> dict[str, Any]:
-    said: dict[str, Any] = {
+def _describe_experiment(
+    data: PageData, experiment: Experiment, run: RunRecord | None
+) -> dict[str, Any]:
+    wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,
         "trial": experiment.units == "si",
     }
     if experiment.study:
-        said |= {"study": experiment.study, "point": experiment.point, "sea": experiment.replicate}
+        wording |= {
+            "study": experiment.study,
+            "point": experiment.point,
+            "sea": experiment.replicate,
+        }
     if run is None:
-        return said
+        return wording
     if not experiment.study:
-        said |= {"source": run.exported_by, "first": run.first_step}
+        wording |= {"source": run.exported_by, "first": run.first_step}
     scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:
-        said["reference"] = [float(x) for x in scenario.reference]
-        said["length_m"] = float(scenario.vessel.length_m)
-    return said
-
-
-def _solver(name: str) -> dict[str, str]:
-    """What is known of a solver; of one that is not installed here, nothing."""
-    known = known_record(name)
-    return {"family": family_of(name), "method": known.method if known else ""}
+        wording["reference"] = [float(x) for x in scenario.reference]
+        wording["length_m"] = float(scenario.vessel.length_m)
+    return wording

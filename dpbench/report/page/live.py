@@ -11,9 +11,7 @@ import pandas as pd
 from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.solver_tables import level_table, pair_reaches, tile_table, time_table
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.accuracy import accuracy
-from dpbench.report.charts.ladder import ladder
-from dpbench.report.charts.matrix import matrix
+from dpbench.report.charts.overview import accuracy, ladder, matrix
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import pairs, strips
 from dpbench.report.charts.study import behind_there, design, seas_there
@@ -24,14 +22,14 @@ from dpbench.report.page.tables import drawn_tiles, runs_table
 Charts = dict[str, Any]
 
 
-def _ladder(data: PageData) -> Charts:
+def _draw_ladder(data: PageData) -> Charts:
     timed = time_table(data)
     if timed.empty:
         return {}
     return {"ladder": ladder(timed, data.requirements.deadline_ms, data.requirements.p99_ms)}
 
 
-def _matrix(data: PageData) -> Charts:
+def _draw_matrix(data: PageData) -> Charts:
     tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
@@ -47,62 +45,60 @@ MATRIX = (
 
 
 def _matrix_text(data: PageData) -> str:
-    """What the tiles are; and how many experiments are left out, where there are too many."""
+    """Explain the tiles, and how many experiments are left out."""
     tiles = tile_table(data)
     there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
-    said = [MATRIX]
+    wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
-        said.append(f"In N and N·m is an extra, in no verdict{_wrong_in_si(data, tiles)}.")
+        wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
     if there != drawn:
         most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
-        said.append(f"{most}; all are in tables/experiments.csv.")
-    return " ".join(said)
+        wording.append(f"{most}; all are in tables/experiments.csv.")
+    return " ".join(wording)
 
 
-def _wrong_in_si(data: PageData, tiles: pd.DataFrame) -> str:
-    """What who gives a solver such a QP has to know: how many then fail at their defaults."""
+def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
+    """State how many solvers fail in SI units with default settings."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
     ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
-    asked = ran[ran["settings"] == "default"]
-    failing = asked.loc[asked["verdict"] == "fail", "solver"].nunique()
-    return f"; {failing} of {asked['solver'].nunique()} solvers fail there: scale the QP" * (
+    requested = ran[ran["settings"] == "default"]
+    failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
+    return f"; {failing} of {requested['solver'].nunique()} solvers fail there: scale the QP" * (
         failing > 0
     )
 
 
-def _strips(data: PageData) -> Charts:
-    """The steps of one run, which the script fills in."""
+def _draw_strips(data: PageData) -> Charts:
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
     charts = {"strips": strips(no_steps, forces, data.requirements.error_move)}
-    if _replayed(data):
+    if _replayed_configurations(data):
         charts["strips_replay"] = strips(no_steps, None, data.requirements.error_move)
     return charts
 
 
-def _pairs(data: PageData) -> Charts:
-    """Two configurations; the axes are named by signals of these names, which the script adds."""
-    return {"pairs": pairs("first", "second")} if len(_replayed(data)) > 1 else {}
+def _draw_pairs(data: PageData) -> Charts:
+    """Draw the axes by signals of these names, which the script adds."""
+    return {"pairs": pairs("first", "second")} if len(_replayed_configurations(data)) > 1 else {}
 
 
-def _replayed(data: PageData) -> set[int]:
-    """The configurations with a replay, by number."""
+def _replayed_configurations(data: PageData) -> set[int]:
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
-def _paired(data: PageData, _: Results) -> dict[str, Any]:
+def _pack_pair_reaches(data: PageData, _: Results) -> dict[str, Any]:
     timed, reach = pair_reaches(data)
     return {"paired": {"c": timed, "reach": data.block.log(reach)}}
 
 
-def _accuracy(data: PageData) -> Charts:
+def _draw_accuracy(data: PageData) -> Charts:
     points = level_table(data)
     return {} if points.empty else {"accuracy": accuracy(points, data.requirements.error_move)}
 
 
-def _study(data: PageData) -> Charts:
+def _draw_study(data: PageData) -> Charts:
     if not (data.studies and data.runs):
         return {}
     return {
@@ -114,15 +110,15 @@ def _study(data: PageData) -> Charts:
 
 
 SECTIONS = (
-    Section("answer", "Answer", _ladder, ("ladder",), always=True),
-    Section("matrix", "Scenarios", _matrix, ("matrix",), text=_matrix_text),
-    Section("one", "One solver", _strips, live=True),
-    Section("two", "Two solvers", _pairs, data=_paired, live=True),
-    Section("accuracy", "Accuracy", _accuracy, ("accuracy",)),
+    Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
+    Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
+    Section("one", "One solver", _draw_strips, live=True),
+    Section("two", "Two solvers", _draw_pairs, data=_pack_pair_reaches, live=True),
+    Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
     Section(
         "study",
         "Study",
-        _study,
+        _draw_study,
         data=lambda data, _: {"studies": data.study_documents},
         live=True,
         in_topic=True,
@@ -131,16 +127,16 @@ SECTIONS = (
         "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
     ),
 )
-"""In the order of the page, topics before the last one."""
+"""In the order of the page; topics precede the last one."""
 
 
 def charts_of(data: PageData) -> dict[str, Charts]:
-    """The figures of each section, by its id."""
+    """Return the figures of each section, by its id."""
     return {section.id: section.charts(data) for section in SECTIONS}
 
 
 def drawn_figures(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
-    """Those that are on the page before any script has run, by name."""
+    """Return the figures that are on the page before any script has run, by name."""
     return {
         name: charts[section.id][name]
         for section in SECTIONS

@@ -15,39 +15,32 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, one_of
-from dpbench.report.formats import (
-    and_list,
-    error_text,
-    plural,
-    rounded_down,
-    time_text,
-    unmarked,
-)
+from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text, unmarked
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     NOBODY,
     clauses,
     deployment_facts,
+    explain_no_recommendation,
     judged_on,
     paired_text,
     requirements_text,
-    usual_time,
-    why_nothing,
+    usual_time_text,
 )
 from dpbench.solvers.settings import has_setting, level_options
 
 MOST_CHIPS = 16
-"""More experiments than these are counted by state, and named only where they are at most `FEW`."""
+"""More experiments are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
 MOST_INCONCLUSIVE = 2
-"""So many faster configurations are named that are inconclusive."""
+"""Number of faster but inconclusive configurations with a note."""
 
 
 @dataclass(frozen=True)
 class Chip:
     """Whether the answer holds in `experiment`, by its number; or in how many, without one."""
 
-    said: str
+    state_text: str
     mark: str
     name: str = ""
     experiment: int | None = None
@@ -55,7 +48,7 @@ class Chip:
     @property
     def text(self) -> str:
         """As it is written where there is no page."""
-        return f"{self.name}: {self.said}" if self.name else self.said
+        return f"{self.name}: {self.state_text}" if self.name else self.state_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +66,7 @@ class Recommendation:
 
     @staticmethod
     def why(verdict: Verdict) -> str:
-        """What is said against a configuration, or leaves it inconclusive."""
+        """Explain why a configuration does not pass, or is inconclusive."""
         if verdict.refusal:
             return verdict.refusal
         if verdict.state == "pass":
@@ -86,13 +79,9 @@ def build_recommendation(
 ) -> Recommendation:
     """Build the headline of the page: solver, comparison, notes and code to paste.
 
-    Parameters
-    ----------
-    baseline : the solver to set beside it; by default a faster one, or the next.
+    baseline : solver to compare with; by default a faster one, or the next.
 
-    Raises
-    ------
-    InputError : for a baseline that was not run.
+    Raises InputError for a baseline that was not run.
     """
     found = choose_solver(data.verdicts)
     chosen = found.chosen
@@ -108,52 +97,51 @@ def build_recommendation(
         fastest = fastest_of(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     return Recommendation(
-        sentence=_sentence(data, found),
-        notes=tuple(_notes(data, found)),
-        chips=tuple(_chips(data, first)),
-        snippets=tuple(_snippets(chosen.configuration)) if chosen else (),
+        sentence=_recommendation_sentence(data, found),
+        notes=tuple(_make_notes(data, found)),
+        chips=tuple(_make_chips(data, first)),
+        snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
-        machine=_machine(machine),
+        machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
+        f"cores, {machine.get('python', '')}. Times hold for it alone.",
         first=first,
         second=second,
     )
 
 
-def _sentence(data: PageData, found: SolverChoice) -> str:
+def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
     chosen = found.chosen
     if chosen is None:
-        return _nothing(data, found)
+        return _explain_nothing(data, found)
     c = chosen.configuration
     heads = {"pass": "Use", "borderline": "Borderline:"}
     head = heads.get(chosen.state, "Nothing contradicts")
     lacks = "" if chosen.state == "pass" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time(chosen)}, largest error of the "
-        f"first move "
-        f"{error_text(chosen.error_move)}{lacks}."
+        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time_text(chosen)}, largest error of "
+        f"the first move {error_text(chosen.error_move)}{lacks}."
     )
 
 
 def _no_solution(data: PageData, c: Configuration) -> str:
-    """Steps on which right means to report that there is no solution."""
     steps, told = data.without_solution(c)
-    said = ", and it said so" if told else ""
-    return f" ({plural(steps, 'step')} had no solution{said})" if steps else ""
+    wording = ", and it said so" if told else ""
+    return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
-def _nothing(data: PageData, found: SolverChoice) -> str:
-    """Why nothing is recommended; empty where nobody asked for a recommendation."""
+def _explain_nothing(data: PageData, found: SolverChoice) -> str:
+    """Explain why nothing is recommended; empty where no recommendation was asked for."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
-        return unmarked(why_nothing(records, data.verdicts, found))
+        return unmarked(explain_no_recommendation(records, data.verdicts, found))
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
 
 
-def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """What belongs to the recommendation, each with a word for what it is about."""
+def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Yield the notes to the recommendation, each under a keyword."""
     chosen = found.chosen
     if chosen is None:
         return
@@ -170,12 +158,12 @@ def _notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
     yield from _open_notes(data, found)
     if found.runner_up is not None:
         beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
-        label, time = found.runner_up.configuration.label, usual_time(found.runner_up)
+        label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
 def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Faster configurations that are inconclusive; none beside one that is no answer anyway."""
+    """Yield faster configurations that are inconclusive."""
     if found.chosen is None or found.chosen.state != "pass":
         return
     known = None if found.faster is None else found.faster.configuration.solver
@@ -214,14 +202,13 @@ def slower_text(data: PageData, chosen: Verdict) -> str:
 
 
 def _slow_step_text(step: SlowStep) -> str:
-    """The time of a step, where it is, and how much work that is."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
     return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
-def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
+def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
     if first is None:
         return []
     c = data.index(first)
@@ -232,7 +219,7 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
         Chip(
-            f"{state}{_otherwise(data, first, p)}",
+            f"{state}{_other_call_modes(data, first, p)}",
             marks[state],
             data.experiments[p].label,
             p,
@@ -248,8 +235,8 @@ def _chips(data: PageData, first: Configuration | None) -> list[Chip]:
     return [*sums, *named]
 
 
-def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
-    """How the solver did in an experiment where only other call modes of it were run."""
+def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
+    """Describe the other call modes of a solver in an experiment where this one was not run."""
     if (data.index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}
@@ -261,8 +248,7 @@ def _otherwise(data: PageData, chosen: Configuration, p: int) -> str:
 
 
 def call_text(c: Configuration) -> str:
-    """The call that opens a configuration, and its settings in numbers; of a solver or settings
-    that this installation does not know the call alone."""
+    """Return the call that opens a configuration, and its settings in numbers if they are known."""
     call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
@@ -275,8 +261,8 @@ def call_text(c: Configuration) -> str:
     return f"{call}\n# that is, {keys or 'as the library has them'}"
 
 
-def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
-    """What to paste: each language with its text; C where the solver's record says how."""
+def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
+    """Yield code to paste by language; C where the solver's record describes it."""
     yield "Python", call_text(c)
     options = level_options(c.settings, c.solver)
     known = known_record(c.solver)
@@ -288,10 +274,3 @@ def _snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     lines = [f"settings.{key} = {value!r};" for key, value in numbers.items()]
     start = f"{names.struct} settings;\n{names.defaults}(&settings);"
     yield "C", "\n".join([start, *lines])
-
-
-def _machine(machine: Mapping[str, Any]) -> str:
-    return (
-        f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores, "
-        f"{machine.get('python', '')}. Times hold for it alone."
-    )

@@ -17,18 +17,15 @@ def _nothing(*_: object) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Section:
-    """A section that follows the selection: `templates/ID.html.j2` lays it out, `scripts/ID.js`
-    draws it.
+    """Section that follows the selection, of `templates/ID.html.j2` and `scripts/ID.js`.
 
     Parameters
     ----------
-    id, name : its anchor, and its name in the line of links.
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those of them that are on the page before any script has run.
-    data : what its script needs beside configurations, experiments and cells, by name.
-    text : what its template says of this page.
-    live : whether its script alone fills it, so that a page without scripts leaves it out.
-    in_topic : whether it is a part of the topic of the same id.
+    data : further data of its script, by name; text : paragraph for its template.
+    live : filled by its script alone, so that a page without scripts leaves it out.
+    in_topic : part of the topic of the same id.
     """
 
     id: str
@@ -58,10 +55,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Topic:
-    """A section made of lines, figures, tables and a text to paste elsewhere.
+    """Section of lines, figures, tables and a text to paste elsewhere.
 
-    `short` is what a line of links calls it, by default its title. The one that `leads` is what the
-    suite asks: it stands in the answer, its first line the answer.
+    `short` is its name in the line of links, by default its title. The topic that `leads` is the
+    question of the suite: its first line is the answer of the page.
     """
 
     id: str

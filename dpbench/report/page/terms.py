@@ -15,46 +15,34 @@ from dpbench.report.formats import share_text
 from dpbench.report.glossary import meanings, topics
 from dpbench.report.page.data import PageData
 
+_OWN_PHRASES = (
+    "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
+    "disturbed, exactly solved loop, failed step, fallback, fresh, interval, jitter, "
+    "native, paired ratio, qpsolvers, radial error, rate limit, rate-limit step, "
+    "referee, region of attraction, replay, reuse, round, settings, warm, call mode"
+)
 PHRASES = {
-    **{
-        name: name
-        for name in (
-            *("active limits", "certified optimum", "claimed", "closed loop", "deadline"),
-            *(
-                "requirements",
-                "disturbed",
-                "exactly solved loop",
-                "failed step",
-                "fallback",
-                "fresh",
-            ),
-            *("interval", "jitter", "native", "paired ratio", "qpsolvers", "radial error"),
-            *("rate limit", "rate-limit step", "referee", "region of attraction", "replay"),
-            *("reuse", "round", "settings", "warm", "call mode"),
-        )
-    },
+    **{name: name for name in _OWN_PHRASES.split(", ")},
     "exactly solved": "exactly solved loop",
     "first move": "error_move",
     "largest single timing": "raw time",
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }
-"""What is looked for in a text, one or more of it, and the term of the glossary that it stands for.
-Words of everyday use such as *step* or *pass* are not: every second one would be a link."""
+"""Term of the glossary by phrase. Everyday words such as *step* would link every second word."""
 _FOUND = re.compile(
     r"(?<![\w-])(?:" + "|".join(sorted(map(re.escape, PHRASES), key=len, reverse=True)) + r")s?\b",
     re.IGNORECASE,
 )
 
-_OF_HEADS = {
-    term
-    for title in (
-        *("Solvers and how they are run", "Studies", "Thrusters steered"),
-        "The paper reproduced",
-    )
-    for term in topics()[title]
-}
-"""Elsewhere in the glossary a head may stand for another thing: *error* for a status."""
+_HEAD_TOPICS = (
+    "Solvers and how they are run",
+    "Studies",
+    "Thrusters steered",
+    "The paper reproduced",
+)
+_OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
+"""In other topics a head may stand for another thing: *error* for a status."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +55,14 @@ class Word:
 
 
 def word_of(term: str) -> Word:
-    """A term of the glossary."""
+    """Return a term of the glossary."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
     return Word(f"word-{slug}", term, meanings()[term])
 
 
 class Terms:
-    """Links the terms of one page, each once in a section, and lists those that were met.
+    """Links to the glossary in the texts of one page, each term once in a section.
 
-    Parameters
-    ----------
     listed : terms of the list whether they are met or not, in its order.
     """
 
@@ -90,7 +76,7 @@ class Terms:
         return ""
 
     def __call__(self, text: str) -> Markup:
-        """A text with its terms linked."""
+        """Link the terms in a text."""
         parts, end = [], 0
         for found in _FOUND.finditer(text):
             phrase = found[0].lower()
@@ -101,7 +87,7 @@ class Terms:
         return Markup("").join([*parts, escape(text[end:])])
 
     def head(self, text: str) -> Markup:
-        """The head of a table: linked where it is a term, its unit aside."""
+        """Link the head of a table where it is a term, its unit aside."""
         term = re.sub(r" \[.*\]$", "", text)
         known = term in _OF_HEADS and term not in self._here
         return self._link(term, text) if known else escape(text)
@@ -113,7 +99,7 @@ class Terms:
 
     @staticmethod
     def link(word: Word, text: str) -> Markup:
-        """A text linked to a word of the page's lists."""
+        """Link a text to a word of the page's lists."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )
@@ -125,11 +111,10 @@ class Terms:
 
 
 MOST_EXPERIMENTS = 60
-"""So many experiments the list of words explains."""
 
 
 def experiment_words(data: PageData) -> dict[int, Word]:
-    """The experiments of verdicts, by their number; those without a scenario are left out."""
+    """Describe the experiments of verdicts that have a scenario, by number."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
@@ -139,9 +124,9 @@ def experiment_words(data: PageData) -> dict[int, Word]:
         for p in data.judged_experiments[:MOST_EXPERIMENTS]
     }
     return {
-        p: Word(f"experiment-{p}", data.experiments[p].label, said)
-        for p, said in named.items()
-        if said
+        p: Word(f"experiment-{p}", data.experiments[p].label, wording)
+        for p, wording in named.items()
+        if wording
     }
 
 
@@ -164,7 +149,7 @@ def _describe_experiment(data: PageData, experiment: Experiment, run: RunRecord)
 
 
 def _describe_replay(data: PageData, run: RunRecord) -> str:
-    """Which steps of the scenario, and how many of them have something to solve."""
+    """State the window of a replay, and the share of steps with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.kept.get(run.run_id)

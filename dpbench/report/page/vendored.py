@@ -1,4 +1,4 @@
-"""Scripts of others that the page carries: their versions, licences and hashes.
+"""Third-party scripts on the page: their versions, licences and hashes.
 
 `make vendored` fetches the version that `vendor/vendored.json` names and writes its hash there.
 """
@@ -20,13 +20,7 @@ _VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 @dataclass(frozen=True)
 class Vendored:
-    """One script.
-
-    Parameters
-    ----------
-    file, licence_file : its names in `vendor/`; package, version : where it is from.
-    member : its path in the package; licence : the name of its licence; sha256 : of the file.
-    """
+    """One script: its file and licence in `vendor/`, and the package and path it is from."""
 
     file: str
     package: str
@@ -39,7 +33,7 @@ class Vendored:
 
 @cache
 def vendored() -> tuple[Vendored, ...]:
-    """All of them, in the order the page loads them."""
+    """Return all scripts, in the order the page loads them."""
     return tuple(
         Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
     )
@@ -47,13 +41,13 @@ def vendored() -> tuple[Vendored, ...]:
 
 @cache
 def script(entry: Vendored) -> str:
-    """The text of a script, safe inside an HTML element."""
+    """Return the text of a script, safe inside an HTML element."""
     text = _VENDOR.joinpath(entry.file).read_text(encoding="utf-8")
     return text.replace("</script", "<\\/script")
 
 
 def digest(entry: Vendored) -> str:
-    """The hash of the file as it lies there."""
+    """Return the SHA-256 of the file in `vendor/`."""
     return hashlib.sha256(_VENDOR.joinpath(entry.file).read_bytes()).hexdigest()
 
 
@@ -63,8 +57,8 @@ def renew() -> None:
     entries = []
     for entry in vendored():
         with tempfile.TemporaryDirectory() as folder:
-            asked = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
-            subprocess.run(asked, cwd=folder, check=True)
+            requested = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
+            subprocess.run(requested, cwd=folder, check=True)
             (packed,) = Path(folder).glob("*.tgz")
             with tarfile.open(packed) as archive:
                 for member, name in ((entry.member, entry.file), ("LICENSE", entry.licence_file)):

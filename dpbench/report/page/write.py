@@ -64,13 +64,11 @@ def page_html(
     *,
     light: bool = False,
 ) -> str:
-    """The whole page.
+    """Return the whole page.
 
-    Parameters
-    ----------
     folder : where the files are that the page links to.
     charts : of `charts_of`; topics : sections below those that follow the selection.
-    light : without scripts and the steps they show: what a browser shows that runs none.
+    light : without scripts and the steps they show.
     """
     shown = [
         section
@@ -83,13 +81,15 @@ def page_html(
     lead = next((topic for topic in topics if topic.leads), None)
     *above, last = (section for section in shown if not section.in_topic)
     experiments = experiment_words(data)
+    numpy = results.machine.get("versions", {}).get("numpy", "")
+    started = results.suite.get("started_utc", "")[:10]
     block = ""
     if not light:
         document = page_document(data, results, recommendation, experiments)
-        block = data.block.text(document | {"charts": _specifications(figures)})
-    return rendered(
+        block = data.block.text(document | {"charts": _vega_specifications(figures)})
+    return render_page(
         "page",
-        ["\n".join(own(f"scripts/{name}.js") for name in SCRIPTS)],
+        ["\n".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
         about=ABOUT,
@@ -97,9 +97,9 @@ def page_html(
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},
         answer=recommendation,
-        figures={name: drawn(chart) for name, chart in drawn_figures(charts).items()},
+        figures={name: figure_markup(chart) for name, chart in drawn_figures(charts).items()},
         lead=lead,
-        picture=_picture,
+        picture=_picture_address,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),
         studies=len(data.studies),
@@ -113,38 +113,38 @@ def page_html(
         cite=software_citation(results),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
-        footer=_footer(results),
+        footer=f"{made_by(results.suite)}, run {started}; numpy {numpy}.",
         block=block,
     )
 
 
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
-"""Of the page, in the order they are loaded; the last one starts."""
+"""In the order of loading; the last one starts the page."""
 WORDS = (
     *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
     *("pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
-"""Of the glossary what the page says of any solver, before the words on how they are run."""
+"""Terms of the glossary on the page, before those on how solvers are run."""
 
 
-def follow(text: str) -> str:
-    """A figure whose plain colours are those of the page."""
+def use_page_colours(text: str) -> str:
+    """Replace the plain colours of a figure by those of the page."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
-def _picture(chart: Any) -> str:
-    """The address of a picture within the page, one node there, in the colours of the page."""
-    head, rest = follow(svg(chart)).split(">", 1)
-    colours = own("templates/page.css").split("* {", 1)[0]
+def _picture_address(chart: Any) -> str:
+    """Encode a figure as a `data:` address, one node of the page, in the colours of the page."""
+    head, rest = use_page_colours(svg(chart)).split(">", 1)
+    colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
 
 
 def software_citation(results: Results) -> str:
-    """BibTeX of the dpbench that made a run: its version and commit, and the year of the run."""
+    """Return BibTeX of the dpbench that made a run: version, commit and year of the run."""
     version = f"Software, version {results.suite.get('harness_version', '')}"
     return f"""@misc{{dpbench,
   author = {{{{The dpbench authors}}}},
@@ -155,41 +155,39 @@ def software_citation(results: Results) -> str:
 }}"""
 
 
-def _footer(results: Results) -> str:
-    numpy = results.machine.get("versions", {}).get("numpy", "")
-    started = results.suite.get("started_utc", "")[:10]
-    return f"{made_by(results.suite)}, run {started}; numpy {numpy}."
-
-
-def _specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures as Vega; the narrow matrix takes its tiles from the wide one."""
-    made = {name: specification(chart) for name, chart in charts.items()}
+def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures as Vega; the narrow matrix takes its tiles from the wide one."""
+    made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
             data["values"] = []
     return made
 
 
-def drawn(chart: Any) -> Markup:
-    """A figure as it stands on a page before any script has run."""
-    return Markup(follow(svg(chart, titled=False)))
+def figure_markup(chart: Any) -> Markup:
+    """Return a figure as SVG for a page before any script has run."""
+    return Markup(use_page_colours(svg(chart, titled=False)))
 
 
-def specification(chart: Any) -> dict[str, Any]:
-    """A figure as Vega, in the colours of the page."""
-    made: dict[str, Any] = json.loads(follow(json.dumps(vega(chart))))
+def vega_specification(chart: Any) -> dict[str, Any]:
+    """Return a figure as Vega, in the colours of the page."""
+    made: dict[str, Any] = json.loads(use_page_colours(json.dumps(vega(chart))))
     return made
 
 
-def rendered(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
-    """A page out of a template, with the style of all pages, and texts of scripts of its own."""
+def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
+    """Render a page from a template, with the common style and its own scripts."""
     texts = [*map(script, vendored()), *scripts]
-    shown |= {"css": Markup(own("templates/page.css")), "scripts": list(map(Markup, texts))}
-    return environment().get_template(f"{template}.html.j2").render(**shown)
+    shown |= {
+        "css": Markup(read_page_file("templates/page.css")),
+        "scripts": list(map(Markup, texts)),
+    }
+    return template_environment().get_template(f"{template}.html.j2").render(**shown)
 
 
 @cache
-def environment() -> Environment:
+def template_environment() -> Environment:
+    """Return the environment of the page's templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),
         autoescape=True,
@@ -200,5 +198,6 @@ def environment() -> Environment:
 
 
 @cache
-def own(name: str) -> str:
+def read_page_file(name: str) -> str:
+    """Return a template or script of the page."""
     return files("dpbench.report.page").joinpath(name).read_text(encoding="utf-8")

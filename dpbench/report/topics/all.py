@@ -12,23 +12,21 @@ from dpbench.analysis.suites.study import Study, studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
-from dpbench.report.topics.capability import capability_topic
-from dpbench.report.topics.conclusion import conclusion_topic
-from dpbench.report.topics.consequence import consequence_topic
-from dpbench.report.topics.loops import loops_topic
+from dpbench.report.topics.capability import capability_topic, consequence_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.replays import (
     formulations_topic,
     levels_topic,
+    loops_topic,
     race_topic,
     routes_topic,
+    worst_case_topic,
 )
 from dpbench.report.topics.study import study_topic
 from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
-from dpbench.report.topics.thrusters import thrusters_topic
+from dpbench.report.topics.thrusters import conclusion_topic, thrusters_topic
 from dpbench.report.topics.trust import trust_topic
-from dpbench.report.topics.worst_case import worst_case_topic
 
 
 def topics_of(
@@ -38,16 +36,13 @@ def topics_of(
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
 ) -> list[Topic]:
-    """Those that have something to say, the suite's own question first; what nobody asked for is
-    not mentioned.
+    """List the topics with content, the suite's own question first.
 
-    Parameters
-    ----------
-    designs, capability : what lies beside the runs: of `load_designs` and `load_capability`.
-    known : the studies of these records, where somebody has them already.
+    designs, capability : of `load_designs` and `load_capability`.
+    known : the studies of these records, if they are already read.
     """
     requirements = verdicts.requirements
-    replays, loops = (_only(records, mode) for mode in ("replay", "closed_loop"))
+    replays, loops = (_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
     candidates = (
         conclusion_topic(records, verdicts),
         worst_case_topic(records),
@@ -67,7 +62,7 @@ def topics_of(
         trust_topic(records),
     )
     topics = [topic for topic in candidates if topic is not None]
-    question = _question(records, [topic.id for topic in topics])
+    question = _leading_topic(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
     hidden = ("loops", *(_CONTRASTS if replays else ()))
     shown = [topic for topic in topics if topic.leads or topic.id not in hidden]
@@ -75,36 +70,35 @@ def topics_of(
 
 
 _CONTRASTS = ("formulations", "race", "routes", "levels")
-"""Questions about the same replays, in the order in which a suite of replays is taken to ask; its
-page answers that one alone."""
+"""Questions about the same replays, in their order of precedence; a page answers one."""
 
 
-def _mostly_forms(records: Records) -> bool:
-    """Whether more than a third of the runs are of another form than the common one."""
+def _is_mostly_other_forms(records: Records) -> bool:
+    """Return whether over a third of the runs are of another form than the common one."""
     ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
     return 3 * (len(ships) - len(records.runs)) > len(ships)
 
 
-def _question(records: Records, topics: Sequence[str]) -> str:
-    """The id of the topic that is what the suite asks; empty where that is which solver to use."""
+def _leading_topic(records: Records, topics: Sequence[str]) -> str:
+    """Return the id of the topic that the suite asks; empty where it asks which solver to use."""
     if "worst-case" in topics:
         return "worst-case"
     if "conclusion" in topics:
         return "conclusion"
     if not records.runs:
-        asked = ("study", "slowdown", "random", "consequence", "capability", "trust")
-        return next((id for id in asked if id in topics), "")
+        requested = ("study", "slowdown", "random", "consequence", "capability", "trust")
+        return next((id for id in requested if id in topics), "")
     if records.delayed or records.random:
         return ""
-    if _only(records, "replay"):
+    if _all_in_mode(records, "replay"):
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
-    if "formulations" in topics and _mostly_forms(records):
+    if "formulations" in topics and _is_mostly_other_forms(records):
         return "formulations"
-    if not _only(records, "closed_loop"):
+    if not _all_in_mode(records, "closed_loop"):
         return ""
     of_the_paper = {"paper", "paper_tight"} >= {run.scenario for run in records.runs}
     return next((id for id in ("paper",) * of_the_paper + ("loops",) if id in topics), "")
 
 
-def _only(records: Records, mode: str) -> bool:
+def _all_in_mode(records: Records, mode: str) -> bool:
     return all(run.mode == mode for run in records.runs)

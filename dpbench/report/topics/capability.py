@@ -1,13 +1,21 @@
-"""Capability plots: how much wind is held from where, and which solvers know at that edge."""
+"""Thruster capability: wind held by direction, losses held over time, answers of solvers there."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from math import isnan
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, Plot, capability_plots
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    LOST,
+    Analysis,
+    BatchAnswers,
+    consequence_analyses,
+)
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.charts.capability import (
     ANSWERS,
@@ -17,18 +25,16 @@ from dpbench.report.charts.capability import (
     WRONG,
     answers,
     rose,
+    shares,
+    spans,
 )
-from dpbench.report.formats import and_list, counted_list, plural, significant
+from dpbench.report.formats import and_list, counted_list, of_sample_text, plural, significant
 from dpbench.report.page.section import Figure, Topic
+from dpbench.report.table import Table
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """The topic; None where the suite has no plot.
-
-    Parameters
-    ----------
-    table : of `load_capability`.
-    """
+    """Return the topic on capability plots; None without one; table : of `load_capability`."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
@@ -36,37 +42,38 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
         id="capability",
         title="Capability",
         lines=tuple(
-            " ".join([*_held(plot), *(_who(plot) if plot.answers else ())]) for plot in plots
+            " ".join([*_state_winds(plot), *(_name_right_solvers(plot) if plot.answers else ())])
+            for plot in plots
         ),
-        figures=tuple(figure for plot in plots for figure in _figures(plot)),
+        figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
     )
 
 
-def _held(plot: Plot) -> Iterator[str]:
-    """The least wind held all round, intact and after the worst failure."""
+def _state_winds(plot: Plot) -> Iterator[str]:
+    """State the least wind held all round, intact and after the worst failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
     failed = plot.edges[plot.edges["case"] != INTACT]
-    said = f"Intact, {plot.vessel} holds at least {_least(intact)}"
+    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        said += f"; after the loss of {worst['case']} {_least(failed)}"
-    yield f"{said} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
+    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
 
 
-def _least(edges: pd.DataFrame) -> str:
+def _least_wind_text(edges: pd.DataFrame) -> str:
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def _who(plot: Plot) -> Iterator[str]:
-    """Who answers all QPs rightly, and who claims what is not true."""
+def _name_right_solvers(plot: Plot) -> Iterator[str]:
+    """Name the solvers that answer all QPs rightly, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.all_right)
-    asked = f"all {plural(plot.qps, 'QP')} at that edge"
+    qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
-    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {asked} rightly{names}."
+    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
         yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
@@ -78,7 +85,7 @@ def _who(plot: Plot) -> Iterator[str]:
         yield f"{silent} {leave} some without an answer, or did not get so far in time."
 
 
-def _figures(plot: Plot) -> Iterator[Figure]:
+def _capability_figures(plot: Plot) -> Iterator[Figure]:
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -90,7 +97,7 @@ def _figures(plot: Plot) -> Iterator[Figure]:
             + ".",
         )
     if plot.answers:
-        rows = [row for a in plot.answers for row in _shares(a)]
+        rows = [row for a in plot.answers for row in _answer_shares(a)]
         yield Figure(
             f"capability-answers-{plot.vessel}",
             answers(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
@@ -99,7 +106,125 @@ def _figures(plot: Plot) -> Iterator[Figure]:
         )
 
 
-def _shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
+def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
     counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.silent, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
+
+
+MOST_ROWS = 8
+"""A longer table is only a file: the figures show the right solvers."""
+
+
+def consequence_topic(records: Records) -> Topic | None:
+    """Return the topic on consequence analyses; None without one."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return None
+    tables = [(list(_solver_rows(analysis)), analysis.name) for analysis in analyses]
+    long = max(len(rows) for rows, _ in tables) > MOST_ROWS
+    return Topic(
+        id="consequence",
+        title="Consequence analysis",
+        lines=(
+            *(
+                f"{_state_losses(analysis)} {_name_right_configurations(analysis)}"
+                for analysis in analyses
+            ),
+            "Where a loss cannot be held, work during which the ship must not leave its place has "
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
+            + (" The counts of every solver: tables/consequence*.csv." if long else ""),
+        ),
+        figures=tuple(figure for analysis in analyses for figure in _consequence_figures(analysis)),
+        tables=tuple(Table.of(rows, name, shown=0 if long else None) for rows, name in tables),
+    )
+
+
+def _consequence_figures(analysis: Analysis) -> Iterator[Figure]:
+    yield Figure(
+        f"consequence-{_file_name(analysis)}",
+        spans(analysis.spans, f"Losses held, {analysis.name}"),
+        "Proven for the mean force of each sample: an optimum, or that there is none.",
+    )
+    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    marks = [
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        for a in sorted(timed, key=lambda a: a.largest)
+    ]
+    if marks:
+        yield Figure(
+            f"consequence-time-{_file_name(analysis)}",
+            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            "The best configuration of each solver; the QPs of all groups at one sample.",
+        )
+
+
+def _file_name(analysis: Analysis) -> str:
+    """Return `thrusters-350-550` for `thrusters[350:550]`."""
+    return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
+
+
+def _state_losses(analysis: Analysis) -> str:
+    """State which losses can be held when, those of the same answer together."""
+    wording: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        wording.setdefault(_time_held(of_group), []).append(str(group))
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
+    return f"In {analysis.name} {'; '.join(parts)}."
+
+
+def _time_held(of_group: pd.DataFrame) -> str:
+    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
+    if states == [HELD]:
+        return "throughout"
+    if HELD not in states:
+        return "at no time"
+    if states == [HELD, LOST]:
+        return f"until {change_s:.0f} s and not after"
+    if states == [LOST, HELD]:
+        return f"from {change_s:.0f} s on"
+    long_s = of_group["to_s"] - of_group["from_s"]
+    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
+    return f"in {100.0 * share:.0f} % of the time"
+
+
+def _name_right_configurations(analysis: Analysis) -> str:
+    """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
+    answers = analysis.answers
+    right = [a for a in answers if a.all_right]
+    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
+    timed = [a for a in right if not isnan(a.largest)]
+    if timed:
+        best = min(timed, key=lambda a: a.largest)
+        share, batch = of_sample_text(best.largest), plural(len(analysis.groups), "QP")
+        head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
+    silent = sum(1 for a in answers if a.silent)
+    leave = "leaves" if silent == 1 else "leave"
+    unanswered = f"; {silent} {leave} some without an answer" if silent else ""
+    return f"{head}; {_missed_alarms(answers)}{unanswered}."
+
+
+def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
+    missed = counted_list((a.name, a.missed) for a in answers if a.missed)
+    return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+
+
+def _solver_rows(analysis: Analysis) -> Iterator[dict[str, str]]:
+    for solver, best in analysis.best.items():
+        right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        yield row_of(best, right)
+
+
+def row_of(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+    """Return the cells of a solver by their heads; `right`: of each of its configurations."""
+    return {
+        "configuration": best.name,
+        "p99 share": of_sample_text(best.p99),
+        "largest share": of_sample_text(best.largest),
+        "held": f"{best.held} of {best.feasible}",
+        "not held": f"{best.refused} of {best.infeasible}",
+        "missed alarms": str(best.missed),
+        "other untrue claims": str(best.untrue - best.missed),
+        "no answer": str(best.silent),
+        "configurations all right": f"{sum(right)} of {len(right)}",
+    }

@@ -1,6 +1,6 @@
 """The paper: its figures 4-7 and its claims, each with what the runs show.
 
-The wording of the claims is in `paper.toml`, what decides them in the analysis.
+The wording of the claims is in `paper.toml`, their criteria are in the analysis.
 """
 
 from __future__ import annotations
@@ -15,34 +15,39 @@ from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
-from dpbench.report.words import beside, filled
+from dpbench.report.words import beside, fill_template
 
 CITATION = """@misc{xia_dp_mpc,
   author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
   title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
   howpublished = {Conference paper, College of Automation, Harbin Engineering University},
 }"""
-"""A copy of the paper names neither the conference nor the year, so neither is said."""
+"""A copy of the paper names neither the conference nor the year."""
 DRAWN = (
     ("path", path, "Fig. 4: path with the 1 m circle."),
     ("errors", precision, "Fig. 5: errors of position and heading."),
     ("forces", forces, "Fig. 6: forces with their limits."),
     ("increments", increments, "Fig. 7: increments with the rate limits."),
 )
-"""Figures 4 to 7: name, what draws it of the laws, caption."""
+"""Figures 4 to 7: name, function, caption."""
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """The topic, None of records without the paper's own scenario."""
+    """Return the topic on the paper; None without the paper's own scenario."""
     laws, scenario = laws_of(records), records.scenario(PAPER)
     judged = claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
+    others = {"not": "not reproduced", "the opposite": "opposite"}
+    wording = [count_reproduced(measured)]
+    for word, state in others.items():
+        names = [unmarked(claim.claim) for claim in measured if claim.state == state]
+        wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",
-        lines=(_headline(measured),),
+        lines=("; ".join(wording) + ".",),
         paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
@@ -58,31 +63,20 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
                 "What the paper leaves open",
                 folded=True,
             ),
-            *([_stability(designs)] if designs is not None else ()),
+            *([_stability_table(designs)] if designs is not None else ()),
         ),
     )
 
 
-def _headline(measured: Sequence[Claim]) -> str:
-    """How many claims are reproduced, and which are not."""
-    others = {"not": "not reproduced", "the opposite": "opposite"}
-    named = {
-        word: [unmarked(claim.claim) for claim in measured if claim.state == state]
-        for word, state in others.items()
-    }
-    said = [f"{word}: “{'”, “'.join(names)}”" for word, names in named.items() if names]
-    return "; ".join([held_text(measured), *said]) + "."
-
-
-def held_text(judged: Sequence[Claim]) -> str:
-    """How many of the claims that were measured are reproduced."""
+def count_reproduced(judged: Sequence[Claim]) -> str:
+    """State how many of the measured claims are reproduced."""
     states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
-def _stability(designs: Designs) -> Table:
-    """Largest root of paper eq. 35 and the sway offset held, of each controller."""
+def _stability_table(designs: Designs) -> Table:
+    """Tabulate the largest root of paper eq. 35 and the sway offset held, of each controller."""
     return Table(
         (
             "controller",
@@ -94,7 +88,7 @@ def _stability(designs: Designs) -> Table:
             (
                 f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
                 f"{record.spectral_radius:.4f}",
-                *(_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
+                *(_bracket_text(record.held.get(weather)) for weather in (STILL, WEATHER)),
             )
             for record in designs.records
         ),
@@ -103,8 +97,8 @@ def _stability(designs: Designs) -> Table:
     )
 
 
-def _bracket(bracket: Bracket | None) -> str:
-    """Rounded outwards: held – not held."""
+def _bracket_text(bracket: Bracket | None) -> str:
+    """Format a bracket, rounded outwards: held – not held."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -127,14 +121,16 @@ class Claim:
 
 
 def claims(records: Records) -> list[Claim]:
-    """All claims, in the order of the paper."""
-    asked = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
-    said = _WORDS["found"]
-    return [Claim(text, filled(said[of.by], **of.values), of.state) for text, of in asked]
+    """Judge all claims, in the order of the paper."""
+    requested = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
+    wording = _WORDS["found"]
+    return [
+        Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested
+    ]
 
 
 def choices(records: Records) -> list[tuple[str, str]]:
-    """What the paper leaves open and what the scenario `paper` of these rows chose."""
+    """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
     scenario = records.scenario(PAPER)
     if scenario is None or not is_of_paper(records, PAPER):
         return []
@@ -145,4 +141,4 @@ def choices(records: Records) -> list[tuple[str, str]]:
         "sea": scenario.files["scenario"]["environment"],
         "duration_s": scenario.steps * scenario.sample_s,
     }
-    return [(name, filled(words, **chosen)) for name, words in _WORDS["choices"].items()]
+    return [(name, fill_template(words, **chosen)) for name, words in _WORDS["choices"].items()]

@@ -18,12 +18,12 @@ def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
     """Count the false claims of each solver, the most first, and name solvers without any."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
-    said = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
-    return "; ".join([*said, *([f"none by {and_list(none)}"] if none else [])])
+    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    return "; ".join([*wording, *([f"none by {and_list(none)}"] if none else [])])
 
 
 def random_topic(records: Records) -> Topic | None:
-    """The topic; None of records without random QPs."""
+    """Return the topic on random QPs with known optima; None without one."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None
@@ -46,11 +46,11 @@ def random_topic(records: Records) -> Topic | None:
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
-        tables=(Table.of([_row(name, tally) for (name,), tally in rows]),),
+        tables=(Table.of([_claims_row(name, tally) for (name,), tally in rows]),),
     )
 
 
-def _row(solver: str, tally: Tally) -> dict[str, str]:
+def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
     return {
         "solver": solver,
         "steps": str(tally.steps),

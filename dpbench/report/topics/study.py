@@ -25,24 +25,24 @@ from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """The topic; None without a study."""
+    """Return the topic on studies; None without one."""
     if not known:
         return None
     return Topic(
         id="study",
         title="Studies: many seas, paired",
-        lines=tuple(line for study in known for line in _lines(study)),
-        figures=tuple(figure for study in known for figure in _figures(study)),
-        tables=tuple(table for study in known for table in _tables(study)),
+        lines=tuple(line for study in known for line in _study_lines(study)),
+        figures=tuple(figure for study in known for figure in _study_figures(study)),
+        tables=tuple(table for study in known for table in _study_tables(study)),
     )
 
 
-def _lines(study: Study) -> Iterator[str]:
+def _study_lines(study: Study) -> Iterator[str]:
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
-        f"{_separated(study)}"
+        f"{_larger_errors_text(study)}"
     )
     unfinished = len(runs) - int(runs["finished"].sum())
     if unfinished:
@@ -54,58 +54,58 @@ def _lines(study: Study) -> Iterator[str]:
     worst = min(study.configurations, key=lambda c: c.held)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"{study.reference} holds the ship {radius} in {_share(held, study)} of them"
+        f"{study.reference} holds the ship {radius} in {_share_with_bound(held, study)} of them"
         + (
-            f", {worst.name} in {_share(worst.held, study)}."
+            f", {worst.name} in {_share_with_bound(worst.held, study)}."
             if worst.held < held
             else ", as all do."
         )
     )
     if study.loosest:
-        yield _loosest(study)
+        yield _loosest_text(study)
 
 
-def _separated(study: Study) -> str:
-    """Which configurations have a significantly larger error than the reference, and which not."""
+def _larger_errors_text(study: Study) -> str:
+    """Name the configurations with a significantly larger error than the reference."""
     others = study.configurations[1:]
-    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean(c))
-    said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
+    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean_excess_m(c))
+    wording = [f"{c.name} by {significant(100.0 * _mean_excess_m(c), 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"none is significantly behind {study.reference} in the same realisation."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"significantly behind {study.reference} in the same realisation: {', '.join(said)}"
+        f"significantly behind {study.reference} in the same realisation: {', '.join(wording)}"
         f"{unnamed}{rest}."
     )
 
 
-def _share(share: float, study: Study) -> str:
-    """A share in percent; of none or all with its 95 % bound, by the rule of three."""
+def _share_with_bound(share: float, study: Study) -> str:
+    """Format a share in percent; of none or all with its 95 % bound, by the rule of three."""
     bound = 100 * none_of(study.realisations)
-    said = f"{100 * share:.0f} %"
+    wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
-        said += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
-    return said
+        wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
+    return wording
 
 
-def _loosest(study: Study) -> str:
-    """The loosest tolerance of each solver that costs next to nothing."""
+def _loosest_text(study: Study) -> str:
+    """Name the loosest tolerance of each solver that costs next to nothing."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
-    said = (
+    wording = (
         f"The loosest tolerance that costs significantly {limits}: {and_list(parts)}"
         if parts
         else ""
     )
     without = f"No tolerance of {and_list(none)} costs significantly {limits}" if none else ""
-    return ". ".join(filter(None, (said if parts else "", without))) + "."
+    return ". ".join(filter(None, (wording if parts else "", without))) + "."
 
 
-def _figures(study: Study) -> Iterator[Figure]:
+def _study_figures(study: Study) -> Iterator[Figure]:
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.fits(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -131,8 +131,8 @@ def _figures(study: Study) -> Iterator[Figure]:
         yield Figure(f"study-behind-{name}", chart, caption)
 
 
-def _tables(study: Study) -> Iterator[Table]:
-    rows = [_row(configuration, study) for configuration in study.configurations]
+def _study_tables(study: Study) -> Iterator[Table]:
+    rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
         "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
@@ -150,15 +150,15 @@ def _tables(study: Study) -> Iterator[Table]:
         yield Table(("key", "values", "least", "largest"), axes, f"{study.name}: its points")
 
 
-def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
-        "held": _share(configuration.held, study),
-        "cost over exact": f"{_percent(configuration.cost)} %",
-        "behind [cm]": "reference" if behind_it is None else _interval(behind_it, 100.0),
-        "dearer": "" if dearer is None else f"{_interval(dearer, 100.0)} %",
+        "held": _share_with_bound(configuration.held, study),
+        "cost over exact": f"{_percent_text(configuration.cost)} %",
+        "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
+        "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
     }
     if behind_it is None:
         return row | {"shown": "", "seas for 1 cm": ""}
@@ -166,7 +166,7 @@ def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     return row | {"shown": "yes" if configuration.differs else "no", "seas for 1 cm": seas}
 
 
-def _interval(difference: PairedDifference, scale: float) -> str:
+def _difference_text(difference: PairedDifference, scale: float) -> str:
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
@@ -177,14 +177,10 @@ def _interval(difference: PairedDifference, scale: float) -> str:
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
-def _percent(share: float) -> str:
-    """A share in percent to two digits; what is rounding alone is 0."""
+def _percent_text(share: float) -> str:
+    """Format a share in percent to two digits; rounding alone is 0."""
     return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
 
 
-def _mean(configuration: StudiedConfiguration) -> float:
+def _mean_excess_m(configuration: StudiedConfiguration) -> float:
     return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value
-
-
-def _cm(metres: float) -> str:
-    return significant(100.0 * metres, 2)

@@ -18,12 +18,12 @@ from dpbench.report.table import Table
 
 
 def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """How the step time grows with the horizon; None where it was not varied."""
+    """Show the growth of step times with the horizon; None where it was not varied."""
     figures, tables = [], []
     all_sweeps = sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
-        limit = f"{_by(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"{_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
@@ -35,7 +35,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
                 {
                     "configuration": name,
                     "grows as n^": MISSING if growth is None else significant(growth, 2),
-                    f"largest horizon, {limit}": _longest(sweep, swept, requirements.p99_ns),
+                    f"largest horizon, {limit}": _longest_text(sweep, swept, requirements.p99_ns),
                 }
             )
         if points:
@@ -50,51 +50,45 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
             tables.append(Table.of(rows, sweep.name))
     if not figures:
         return None
-    said = (
+    wording = (
         *_longest_horizons(all_sweeps, requirements),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
-    return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
+    return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
-    """Who fits the longest horizon, a sentence for each scenario."""
-    said = []
+    """Name the configurations of the longest horizon, a sentence for each scenario."""
+    wording = []
     for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
             if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
         }
-        limit = f"with {_by(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"with {_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
-            said.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
+            wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
         longest = max(largest.values(), key=moves_of)
         who = [name for name, horizons in largest.items() if horizons == longest]
+        some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
-        said.append(
-            f"In {sweep.name} {_some(who)} {'fits' if len(who) == 1 else 'fit'} "
+        wording.append(
+            f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
             f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
         )
-    return said
+    return wording
 
 
-def _some(names: list[str]) -> str:
-    """Up to three names, and how many more."""
-    rest = len(names) - 3
-    return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
-
-
-def _by(sweep: Sweep) -> str:
-    """The time that a horizon is judged by."""
+def _judging_statistic(sweep: Sweep) -> str:
+    """Return the statistic that a horizon is judged by."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
-def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """The longest horizons within a limit, and no more than the runs say: `≥` where no longer ones
-    have a p99, `?` where the interval of a p99 holds the limit."""
+def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
+    """Return the longest horizon within a limit: `≥` if no longer one has a p99, `?` in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
@@ -106,7 +100,7 @@ def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
 
 
 def slowdown_topic(records: Records) -> Topic | None:
-    """What a slower computer does to the ship; None where none was simulated."""
+    """Show the effect of slower computers on the ship; None where none was simulated."""
     figures, tables = [], []
     groups = delayed_groups(records)
     for group in groups:
@@ -131,18 +125,18 @@ def slowdown_topic(records: Records) -> Topic | None:
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
-        tables.append(Table.of(list(map(_survival, group.configurations)), group.scenario))
+        tables.append(Table.of(list(map(_survival_row, group.configurations)), group.scenario))
     if not tables:
         return None
-    said = (
-        *map(_survivors, groups),
+    wording = (
+        *map(_survivors_text, groups),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
-    return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
+    return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
 
 
-def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
+def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
@@ -151,9 +145,8 @@ def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
     }
 
 
-def _survivors(group: DelayedGroup) -> str:
-    """Who survives most in a scenario."""
+def _survivors_text(group: DelayedGroup) -> str:
     survivors = [c for c in group.configurations if c.survives > 0]
     best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
-    said = ", ".join(best) if best else "nobody survives a slow-down"
-    return f"Slower computers, {group.scenario}: {said}."
+    wording = ", ".join(best) if best else "nobody survives a slow-down"
+    return f"Slower computers, {group.scenario}: {wording}."

@@ -1,39 +1,59 @@
-"""Where thrusters are steered: what the answers of each solver cost in power and wear.
+"""Commanded thrusters: power and wear by solver, and the conclusion for an operator.
 
-Against the best there is in the same scenario: of the loops that are right on every step and ran as
-far, the one nearest to the exactly solved loop. What differs from it is the solver's doing.
+Against the best loop in the same scenario: of those that are right on every step and ran as far,
+the one nearest to the exactly solved loop. What differs from it is due to the solver.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from math import isfinite
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    Analysis,
+    consequence_analyses,
+    in_all,
+    largest_share,
+)
+from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.steering import (
+    Steering,
     is_about_thrusters,
     largest_ratio,
+    lost_late,
+    steering_of,
     thruster_control_loops,
 )
-from dpbench.report.formats import MISSING, and_list, plural, significant
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    of_sample_text,
+    plural,
+    rounded_up,
+    significant,
+)
 from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
 MOST_ROWS = 8
-"""Rows on the page, the rightest first; all of them are a file."""
+"""Rows on the page, the most often right first; the file has all."""
 LIKE = 0.01
-"""Shares of power and wear that differ by less are alike."""
+"""Relative difference of power or wear that counts as equal."""
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """The topic; None where no thruster is steered."""
+    """Return the topic on power and wear; None without commanded thrusters."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _lead(best, configurations, requirements)
+    lead = _load_sentence(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
@@ -52,12 +72,11 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
-def _lead(
+def _load_sentence(
     best: dict[str, RunRecord],
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
-    """How hard the thrusters work, and how many configurations keep up."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -75,23 +94,145 @@ def _lead(
 def row_of(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """The cells of a configuration by their heads."""
+    """Return the cells of a configuration by their heads."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
     return {
         "configuration": name,
         "right in": f"{right} of {len(best)}",
-        "power": _ratio(ended, best, "power_share"),
-        "wear": _ratio(ended, best, "thrust_variation"),
-        "azimuth travel": _ratio(ended, best, "azimuth_travel_deg"),
+        "power": _ratio_text(ended, best, "power_share"),
+        "wear": _ratio_text(ended, best, "thrust_variation"),
+        "azimuth travel": _ratio_text(ended, best, "azimuth_travel_deg"),
         "farthest off": f"{significant(max(off))} m" if off else MISSING,
     }
 
 
-def _ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
-    """The largest ratio of a metric to that of the best loop, over the scenarios."""
+def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
+    """Return the largest ratio of a metric to that of the best loop, over the scenarios."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
         return MISSING
     return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
+
+
+def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
+    """Return the conclusion for a suite about thrusters, else None."""
+    if not is_about_thrusters(records):
+        return None
+    requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
+    steering = steering_of(records, requirements)
+    if not steering.with_thrusters:
+        return None
+    first = [_name_solver(chosen, requirements), _compare_with_forces(steering)]
+    second = [
+        *_state_offset_after_loss(records, chosen, requirements),
+        *_state_consequence(records, chosen),
+    ]
+    lines = [" ".join(part for part in parts if part) for parts in (first, second)]
+    return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
+
+
+def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
+    """Name the solver to use, and its share of the deadline."""
+    if chosen is None:
+        return "No solver can be recommended for a controller that steers thrusters."
+    share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
+    if chosen.state != "pass":
+        label = chosen.configuration.label
+        return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
+    c = chosen.configuration
+    label = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
+
+
+def _compare_with_forces(steering: Steering) -> str:
+    """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
+    before = steering.fine_with_forces
+    if not before:
+        fine, run = len(steering.fine), len(steering.with_thrusters)
+        wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
+        wording = wording if fine else ["no solver that was run is known to pass"]
+        missing, unknown = steering.missing, steering.undecided
+        wording += [f"not so: {_group_by_fault(steering, missing)}"] if missing else []
+        wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
+        return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
+    lost, where = steering.only_with_forces, and_list(list(steering.forces))
+    head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
+    head += f"three forces ({where})"
+    if not lost:
+        return f"{head}, none fails with thrusters."
+    fail = "fails" if len(lost) == 1 else "fail"
+    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(steering, lost)}."
+
+
+def _pass_verb(count: int) -> str:
+    return "passes" if count == 1 else "pass"
+
+
+def _group_by_fault(steering: Steering, solvers: Sequence[str]) -> str:
+    """List solvers with their fault, those of the same fault together."""
+    of_fault = grouped(solvers, lambda solver: steering.faults[solver])
+    return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
+
+
+def _state_offset_after_loss(
+    records: Records, chosen: Verdict | None, requirements: Requirements
+) -> Iterator[str]:
+    """State how far off the ship is after thrusters are lost, where the answers are right."""
+    if chosen is None:
+        return
+    for run in records.select(mode="closed_loop", units="scaled"):
+        lost, own = lost_late(run), run.configuration.in_common_formulation == chosen.configuration
+        if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
+            yield (
+                f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
+                f"within {rounded_up(run.r_tail_max_m, 2)} m."
+            )
+
+
+def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
+    """State the further losses that could be held, the solvers that report so, and their times."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return
+    yield f"{', '.join(map(_state_end, analyses)).capitalize()}."
+    own = in_all(analyses)
+    right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
+    shares = {name: largest_share(own[name]) for name in right}
+    timed = {name: share for name, share in shares.items() if isfinite(share)}
+    wording = ["nobody answers all of that rightly"]
+    if timed:
+        best = min(timed, key=lambda name: timed[name])
+        share = of_sample_text(timed[best])
+        wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
+    label = "" if chosen is None else _batch_name(chosen, own)
+    if label and label not in right:
+        wrong = sum(a.asked - a.held - a.refused for a in own[label])
+        requested = plural(sum(a.asked for a in own[label]), "QP")
+        wording.append(f"{label} leaves {wrong} of {requested} without a right answer")
+    missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
+    wording += [f"alarms are missed by {and_list(missing)}"] if missing else []
+    yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
+
+
+def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
+    """Return the name of the chosen configuration among some names; "" where it is none of them."""
+    c = chosen.configuration
+    level = "" if c.settings == "default" else f", {c.settings}"
+    known = (
+        f"{c.solver} ({c.route}, {c.policy}{level})",
+        f"{c.solver} ({c.route}{level})",
+        c.solver,
+    )
+    return next((name for name in known if name in names), "")
+
+
+def _state_end(analysis: Analysis) -> str:
+    """State how many losses could be held at the end of a consequence analysis."""
+    last = analysis.spans.groupby("group", sort=False).last()
+    held = int((last["state"] == HELD).sum())
+    count = {0: "none", len(last): "all"}.get(held, str(held))
+    where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
+    at_s = f"{last['to_s'].max():.0f} s"
+    return f"at {at_s} of {where} {count} of {len(last)} {losses} could be held"

@@ -27,15 +27,14 @@ from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"
-"""Of the machine, what its kernel does not show."""
 COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
     "the worst step that was never met.",
 )
 
 
-def _spread(records: Records) -> list[str]:
-    """Which figure says whether times differ: the interval of a pair, or what rounds differ by."""
+def _spread_lines(records: Records) -> list[str]:
+    """State from which ratio two times differ: within a run, and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
         return []
@@ -48,26 +47,24 @@ def _spread(records: Records) -> list[str]:
 
 
 def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
-    """Whether waits of known length were measured right, and what follows where not.
+    """State how well waits of known length were measured.
 
-    Parameters
-    ----------
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
     below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
     missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
-    said = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
+    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(said)} (p50 of the timings that count, the largest of "
+        f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
     )
 
 
 def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """Whether the machine did other things while replays were timed."""
+    """State how quiet the machine was while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -77,31 +74,30 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
     return (
         "The machine was quiet by the operating system's counters: "
         f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{count_text(disturbance.rerun)} were.{_unwatched(machine)}"
+        f"{count_text(disturbance.rerun)} were.{_unwatched_text(machine)}"
     )
 
 
-def _unwatched(machine: Mapping[str, Any]) -> str:
-    """What nobody could see of the machine while it measured."""
+def _unwatched_text(machine: Mapping[str, Any]) -> str:
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
-    """The topic; None where nothing was timed."""
+    """Return the topic on measurement quality; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
     disturbance = disturbance_of(timed)
     medians = calibration_medians(records.calibration)
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _spread(records)
+    lines = _spread_lines(records)
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
-        asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
-        table = pd.DataFrame(asked, columns=["name", "x", "y"])
+        requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
+        table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:

@@ -11,7 +11,7 @@ from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
-from dpbench.report.topics.consequence import consequence_topic
+from dpbench.report.topics.capability import consequence_topic
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = TRUE | {"status": "PRIMAL_INFEASIBLE", "claimed": False}

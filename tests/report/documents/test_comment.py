@@ -11,14 +11,14 @@ import pytest
 from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.comment import MOST_BYTES, beside
+from dpbench.report.documents.markdown import COMMENT_BYTES, beside
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
 def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
     """At most 3 kB; the usual two, without the solver itself."""
     text, worst = beside(written.report, solver)
-    assert len(text.encode()) <= MOST_BYTES
+    assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
     assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
     assert all(f"| {name} |" in text for name in [solver, *others])
@@ -27,7 +27,6 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
 
 
 def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
-    """By error, time and iterations, found in the table of steps without the report's help."""
     facts, results = written.report.data, written.results
     runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
     known = {run.run_id for run in facts.records.runs}
@@ -42,7 +41,6 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:
-    """Whoever ran can be set beside it; a name that did not is an error with the nearest."""
     text, _ = beside(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp beside clarabel\n")
     with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: e\.g\. piqp"):
@@ -53,7 +51,7 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_it_and_the_step_can_be_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     """Run, report, export: the third command is the one the second prints."""
     monkeypatch.chdir(tmp_path)

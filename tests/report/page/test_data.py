@@ -1,4 +1,4 @@
-"""What the page knows: experiments, states and cells, against the verdicts they come from."""
+"""Data of the page: experiments, verdicts, cells and studies, against their records."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import pytest
 
 from dpbench.analysis.times.solver_tables import tile_table
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdict_of, verdicts_of
+from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_of, number
 from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import drawn_tiles
 from dpbench.report.page.terms import experiment_words
+from dpbench.report.report import Report
+from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
 REQUIREMENTS = Requirements()
 
@@ -22,71 +25,6 @@ REQUIREMENTS = Requirements()
 def _facts(records: Any) -> PageData:
     view = records.view()
     return PageData.of(view, verdicts_of(view, REQUIREMENTS))
-
-
-def _state(facts: PageData, solver: str, experiment: str) -> str:
-    (c,) = (i for i, one in enumerate(facts.configurations) if one.solver == solver)
-    (p,) = (i for i, one in enumerate(facts.experiments) if one.label == experiment)
-    return facts.state(c, p)
-
-
-def test_experiments_come_scenarios_first_and_si_last(records: Any) -> None:
-    """In the order of the suite within each kind; a sequence and its scenario are two."""
-    records.replay("daqp", "calm", steps=20)
-    records.loop("daqp", "rough", units="si")
-    records.loop("daqp", "calm")
-    records.loop("daqp", "paper")
-    facts = _facts(records)
-    assert [experiment.label for experiment in facts.experiments] == [
-        "calm",
-        "paper",
-        "rough (in N and N·m)",
-        "calm (replay)",
-    ]
-    assert [configuration.solver for configuration in facts.configurations] == ["daqp"]
-
-
-def test_states_are_those_of_the_verdict_on_each_run_alone(records: Any) -> None:
-    """What contradicts is a miss, what could not be judged is open, and the rest holds."""
-    records.loop("daqp")
-    records.loop("osqp", error=0.4)
-    records.loop("scs", outcome="timed_out", done=20)
-    records.refused("qpax", "not installed", steps_planned=120)
-    records.replay("daqp", median_us=4000.0)
-    facts = _facts(records)
-    states = {s: _state(facts, s, "paper") for s in ("daqp", "osqp", "scs", "qpax")}
-    assert states == {"daqp": "pass", "osqp": "fail", "scs": "inconclusive", "qpax": "not run"}
-    assert _state(facts, "daqp", "paper (replay)") == "late", "its p99 is 4 ms"
-    assert _state(facts, "osqp", "paper (replay)") == "not run", "there is no such run"
-    for (c, p), run in facts.runs.items():
-        alone = verdict_of(facts.records, facts.configurations[c], [run], [], REQUIREMENTS)
-        assert (facts.state(c, p) in ("late", "fail")) == bool(alone.causes)
-        assert (facts.state(c, p) == "not run") == (alone.state == "not run")
-
-
-def test_si_units_are_a_experiment_and_no_configuration(records: Any) -> None:
-    """The same solver in other units is the same solver in another experiment."""
-    records.loop("daqp")
-    records.loop("daqp", units="si", error=0.3)
-    facts = _facts(records)
-    assert len(facts.configurations) == 1
-    assert _state(facts, "daqp", "paper") == "pass"
-    assert _state(facts, "daqp", "paper (in N and N·m)") == "fail"
-
-
-def test_of_two_runs_in_one_experiment_the_longer_counts(records: Any) -> None:
-    """A short loop beside a whole one does not replace it, whichever comes first."""
-    for lengths in ((40, 120), (120, 40)):
-        for steps in lengths:
-            records.loop("daqp", "paper" if lengths[0] == 40 else "calm", steps=steps)
-    assert {run.steps_planned for run in _facts(records).runs.values()} == {120}
-
-
-def test_the_baseline_law_is_no_configuration(records: Any) -> None:
-    """It solves no QP."""
-    records.loop("daqp")
-    records.loop("unconstrained_clipped", formulation="none", error=1.0)
-    assert [c.solver for c in _facts(records).configurations] == ["daqp"]
 
 
 def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
@@ -100,8 +38,6 @@ def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
 
 
 def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
-    """Steps done and planned, the largest error, the failed steps, and five hardest by each
-    measure; a run that left no step has no arrays."""
     records.loop("daqp", steps=50, error=1e-6, failed=2)
     records.loop("scs", outcome="crashed", outcome_detail="signal 11", done=0)
     facts = _facts(records)
@@ -125,46 +61,38 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
-    [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)],
+    ("value", "output"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
-def test_numbers_are_such_as_json_has(value: Any, said: Any) -> None:
-    """Missing is null, and infinite a word."""
-    assert number(value) == said
+def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
+    assert number(value) == output
 
 
 def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
-    """A row without a value has a hole."""
     assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
 def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
-    """Title and first sentence; of a replay its window and how many of the steps have active
-    limits, of an extra that it counts in no verdict; without a scenario nothing."""
     records.loop("daqp", "rough")
     records.loop("daqp", "rough", units="si")
     records.replay("daqp", "rough[900:1400]", steps=500, cell=_of_window(records))
     records._scenarios["robot"] = records.scenario("rough")
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
-    said = {word.term: word.meaning for word in experiment_words(facts).values()}
+    output = {word.term: word.meaning for word in experiment_words(facts).values()}
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
-    assert said["rough"] == f"{start} 6-7."
-    assert said["rough (in N and N·m)"].startswith(start)
-    assert said["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
+    assert output["rough"] == f"{start} 6-7."
+    assert output["rough (in N and N·m)"].startswith(start)
+    assert output["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
     window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
-    assert window in said["rough[900:1400] (replay)"]
-    assert list(said) == [p.label for p in facts.experiments if p.name != "robot"]
+    assert window in output["rough[900:1400] (replay)"]
+    assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
 
 
 def _of_window(records: Any) -> str:
     return json.dumps({"scenario": records.scenario("rough").files, "first": 900})
 
 
-def test_of_many_experiments_those_that_miss_most_are_drawn(
-    records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As many as there is room for, in the order they had; the page says how many of how many."""
+def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkeypatch: Any) -> None:
     for i, scenario in enumerate(("calm", "rough", "paper", "turn")):
         for solver in ("daqp", "osqp"):
             wrong = solver == "osqp" and i in (1, 3)
@@ -175,10 +103,71 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
-    said = _matrix_text(facts)
-    assert "The 2 of 4 scenarios and replays with the fewest passes" in said and "N·m" not in said
+    output = _matrix_text(facts)
+    assert (
+        "The 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
+    )
     monkeypatch.undo()
     records.loop("daqp", units="si")
     assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
     records.loop("osqp", units="si", error=0.5)
     assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers fail there: scale the QP.")
+
+
+@pytest.mark.slow
+def test_every_sea_has_its_errors(records: Any) -> None:
+    """Those of its run: how far off, whether held, and how far behind the reference there."""
+    made = of_seas(records)
+    facts = Report.of(made.results()).data
+    (study,) = facts.study_documents
+    runs = made.results().runs.set_index("run_id")
+    own = study["runs"]
+    assert sorted(own["id"]) == sorted(runs.index)
+    assert study["names"][study["reference"]] == "daqp"
+    for i, run_id in enumerate(own["id"]):
+        run = runs.loc[run_id]
+        same = (runs["study_point"] == own["point"][i]) & (runs["replicate"] == own["sea"][i])
+        (reference,) = runs[same & (runs["solver"] == "daqp")]["r_95_m"]
+        assert own["tail_m"][i] == pytest.approx(run["r_tail_max_m"], rel=1e-3)
+        assert own["behind_cm"][i] == pytest.approx(100 * (run["r_95_m"] - reference), abs=1e-3)
+        assert own["held"][i] == (run["r_tail_max_m"] <= 1.0)
+        configuration = facts.configurations[study["c"][own["of"][i]]]
+        assert (configuration.solver, configuration.settings) == (run["solver"], run["settings"])
+
+
+@pytest.mark.slow
+def test_it_opens_where_least_is_held(records: Any) -> None:
+    facts = Report.of(of_seas(records).results()).data
+    c, p = facts.opening
+    experiment = facts.experiments[p]
+    assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
+    assert experiment.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and experiment.replicate == 2
+    assert experiment.label == f"seas: point {experiment.point}, sea {experiment.replicate}"
+    assert facts.runs[c, p].r_tail_max_m == 1.5
+
+
+@pytest.mark.slow
+def test_seas_enter_no_verdict(records: Any) -> None:
+    made = of_seas(records)
+    made.loop("daqp", "calm", steps=40)
+    made.replay("daqp", "calm")
+    report = Report.of(made.results())
+    assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
+        "calm",
+        "calm (replay)",
+    ]
+    assert report.data.opening is None
+    assert not any("sea" in chip.text for chip in report.recommendation.chips)
+    assert set(report.tables["experiments"]["experiment"]) == {"calm", "calm (replay)"}
+    assert set(report.tables["experiments"]["settings"]) == {"default"}
+
+
+@pytest.mark.slow
+def test_a_page_keeps_the_first_seas_of_all_points(records: Any, monkeypatch: Any) -> None:
+    room = 3 * len(HEIGHTS) * len(OFFSETS)
+    monkeypatch.setattr(page_data, "MOST_LOOPS", room)
+    facts = Report.of(of_seas(records).results()).data
+    assert len(facts.runs) == room
+    assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS

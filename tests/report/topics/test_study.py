@@ -6,7 +6,6 @@ import json
 from typing import Any
 
 import numpy as np
-import pytest
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import studies
@@ -47,17 +46,13 @@ def _drawn(figure: Any, column: str) -> list[float]:
 
 
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
-    """A dot a sea, a mark a point and configuration."""
     found = _fill(records, points=5, seas=4)
     held, behind = found.figures
     assert len(_drawn(held, "held")) == 2 * 5 and "at each point" in held.caption
     assert len(_drawn(behind, "behind_cm")) == 20 and "at even ranks" not in behind.caption
 
 
-def test_of_a_large_study_some_seas_are_drawn(
-    records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The least and the largest among them; points become fields that hold all their seas."""
+def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
     monkeypatch.setattr(study_pictures, "FIELDS", 3)
@@ -77,7 +72,6 @@ def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
 
 
 def test_what_was_lost_is_a_condition(records: Any) -> None:
-    """A run that did not finish is counted, and the differences are said to leave it out."""
     found = _fill(records, points=2, seas=6, lost=(1, 3))
     assert "1 of 24 runs did not finish" in found.lines[1] and "conditional" in found.lines[1]
     assert "conditional on the realisations" in found.tables[0].note

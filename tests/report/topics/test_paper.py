@@ -1,13 +1,17 @@
-"""What the report says of the paper follows the rows."""
+"""The paper: claims, choices and stability follow the records."""
+
+from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.bench.design import Bracket, DesignRecord, Designs, MissingDesign
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.paper import choices, claims, paper_topic
@@ -32,7 +36,6 @@ def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
 
 
 def test_claims_of_the_paper_case(records: Any) -> None:
-    """With the numbers of the paper's case all holds but the steady error and the heading."""
     _pair(records)
     _pair(records, "paper_tight", tail_m=9.0, settle_0p1m_s=np.inf)
     failed = [claim for claim, state in _states(records).items() if state != "reproduced"]
@@ -52,7 +55,6 @@ def test_claims_of_the_paper_case(records: Any) -> None:
 def test_rows_that_contradict_are_believed(
     records: Any, column: str, value: float, claim: str
 ) -> None:
-    """When the clipped law is the better one in the rows, the opposite of the claim is found."""
     _pair(records, **{column: value})
     assert _states(records)[claim] == "opposite"
     topic = paper_topic(records.view())
@@ -72,7 +74,6 @@ def test_rows_that_contradict_are_believed(
 def test_claims_on_one_law_follow_its_row(
     records: Any, columns: dict[str, Any], claim: str
 ) -> None:
-    """A claim on the constrained law stands and falls with its row."""
     records.loop("daqp", steps=WHOLE, **columns)
     assert _states(records)[claim] == "not reproduced"
 
@@ -87,7 +88,6 @@ def test_claims_on_one_law_follow_its_row(
     ],
 )
 def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> None:
-    """From the step after the last one outside, which carries the claim as its share does not."""
     records.loop("daqp", steps=WHOLE)
     found = records.results()
     steps = found.steps.copy()
@@ -98,14 +98,12 @@ def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> 
 
 
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
-    """Without its closed loops no claim is judged and no choice is listed."""
     records.loop("daqp", "calm")
     assert set(_states(records).values()) == {"not measured"}
     assert choices(records.view()) == []
 
 
 def test_a_run_cut_short_represents_nobody(records: Any) -> None:
-    """The constrained law is shown by a complete run that follows the exact loop closest."""
     records.loop("cut", steps=WHOLE, error=1e-15, done=20, outcome="timed_out")
     records.loop("inexact", steps=WHOLE, error=0.3, tail_m=2.0)
     records.loop("exact", steps=WHOLE, error=1e-12)
@@ -115,7 +113,6 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
 
 
 def test_choices_are_those_of_the_rows(records: Any) -> None:
-    """The weights that are listed as chosen are those the run was made with."""
     _pair(records)
     found = dict(choices(records.view()))
     topic = paper_topic(records.view())
@@ -145,7 +142,6 @@ def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Res
 
 @pytest.mark.parametrize("part", ["sea", "ship"])
 def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
-    """A scenario called `paper` with another sea or ship is judged as any other scenario."""
 
     def change(files: dict[str, Any]) -> None:
         if part == "sea":
@@ -167,7 +163,6 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
         files["scenario"]["title"] = "Another title"
 
     topic = paper_topic(Records(_called_paper(records, change)))
-    assert topic is not None
     assert [figure.name for figure in topic.figures] == [
         "paper-path",
         "paper-errors",
@@ -177,10 +172,8 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
 
 
 def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
-    """Of the claims that were measured, those that hold; all stand in the table."""
     _pair(records)
     topic = paper_topic(records.view())
-    assert topic is not None
     states = list(_states(records).values())
     measured = [state for state in states if state != "not measured"]
     held = measured.count("reproduced")
@@ -190,3 +183,43 @@ def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
         assert (claim.replace("`", "") in topic.lines[0]) == (
             state in ("not reproduced", "opposite")
         )
+
+
+PAPER = DesignRecord(
+    vessel="tug",
+    controller="paper",
+    tuning="paper",
+    N_p=30,
+    N_c=5,
+    eigenvalues=((0.9, 0.1), (0.9, -0.1), (0.5, 0.0)),
+    held={"still water": Bracket(1.0, 1.046875), "calm": Bracket(0.5, 0.515625)},
+)
+ROBUST = replace(
+    PAPER,
+    controller="rough",
+    tuning="robust",
+    N_p=60,
+    N_c=10,
+    eigenvalues=((1.02, 0.0),),
+    held={"still water": Bracket(64.0, None), "calm": Bracket(0.0, 0.25)},
+)
+MISSING = MissingDesign("tug", "turn", "killed by SIGKILL")
+
+
+def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
+    """The rows of the table on stability; none where there is no such table."""
+    records.loop("daqp", steps=1000)
+    topic = paper_topic(records.view(), designs)
+    return [row for table in topic.tables if "Stability" in table.title for row in table.rows]
+
+
+def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
+    none = replace(PAPER, held={})
+    paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
+    assert paper == ("paper 30/5 in tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
+    assert robust == ("robust 60/10 in tug", "1.0200", "≥ 64", "< 0.250")
+    assert unknown[2:] == ("–", "–")
+
+
+def test_without_designs_there_is_no_such_table(records: Any) -> None:
+    assert _rows(None, records) == []

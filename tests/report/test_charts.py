@@ -1,16 +1,26 @@
-"""The rose of a capability: where its points lie, and the files it can be written to."""
+"""Figures: the rose of a capability, file formats, colours, and a limited address space."""
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import resource
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pandas as pd
 import pytest
 
+import dpbench
 from dpbench.report.charts.capability import COLUMNS, rose
-from dpbench.report.charts.render import encoded, save
+from dpbench.report.charts.render import encode_figure, save
+from dpbench.report.charts.style import FAMILY_COLOURS
+from dpbench.solvers.record import Family
+from dpbench.solvers.table import TABLE
+from tests.conftest import MadeRecords
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +50,6 @@ def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
 
 
 def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
-    """A line through one of the rings at each direction but one."""
     clear, rows = 135.0, []
     for from_deg in range(0, 360, 15):
         wind = 32.6 if from_deg != clear else 30.5
@@ -54,7 +63,6 @@ def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
 
 
 def test_points_with_untrue_claims_are_hollow() -> None:
-    """One direction of two; without any all points are filled alike."""
     rows = [("intact", 0.0, 20.0, 7, 0), ("intact", 90.0, 15.0, 6, 2)]
     table = pd.DataFrame(rows, columns=[*COLUMNS, "untrue"])
     marks = [layer["mark"] for layer in rose(table, "Some ship").to_dict()["layer"]]
@@ -77,7 +85,35 @@ def test_it_is_written_in_four_formats(
 
 
 def test_names_that_xml_cannot_hold_are_drawn() -> None:
-    """The renderer would end the process; a backslash in a name is none of an escape."""
     rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
-    drawn = encoded(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
+    drawn = encode_figure(rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
     assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)
+
+
+def _limited() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (2_000_000 * 1024,) * 2)
+
+
+@pytest.mark.slow
+def test_a_report_is_written_without_its_figures(records: MadeRecords, tmp_path: Path) -> None:
+    for solver in ("daqp", "quadprog"):
+        records.loop(solver, steps=30)
+        records.replay(solver, steps=30)
+    campaign = records.write(tmp_path / "results")
+    run = [sys.executable, "-m", "dpbench", "report", str(campaign), "--json"]
+    env = {**os.environ, "PYTHONPATH": str(Path(dpbench.__file__).parents[1])}
+    for limit in (_limited, None):
+        done = subprocess.run(run, env=env, preexec_fn=limit, capture_output=True, text=True)  # noqa: PLW1510 - asserted below, with what it said
+        assert (done.returncode, done.stderr) == (0, "")
+        drawn = limit is None
+        page = (campaign / "report.html").read_text(encoding="utf-8")
+        assert ("figures" in json.loads(done.stdout)) != drawn
+        assert ("<script" in page and "<svg" in page) == drawn
+        assert "daqp" in page
+        assert any((campaign / "figures").glob("*.svg")) == drawn
+
+
+def test_every_family_of_a_record_has_a_colour_of_its_own() -> None:
+    assert set(get_args(Family)) <= set(FAMILY_COLOURS)
+    assert len(set(FAMILY_COLOURS.values())) == len(FAMILY_COLOURS)
+    assert "not stated" not in {row.family for row in TABLE.values()}
