@@ -45,7 +45,7 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
     assert len(table) == len(verdicts)
     for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
         who = verdict.configuration
-        named = row["solver"], row["route"], row["policy"], row["settings"], row["outcome"]
+        named = row["solver"], row["route"], row["policy"], row["settings"], row["verdict"]
         assert named == (who.solver, who.route, who.policy, who.settings, verdict.state)
         for name in ("error_move", "failed_steps", "steps", "closed_loops", "replays"):
             attribute = {"closed_loops": "loops"}.get(name, name)
