@@ -30,10 +30,10 @@ from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.compare.times import compare_times, time_pairs
 from dpbench.analysis.statistics import (
     Interval,
-    none_of,
     paired_ratio,
     percentile_interval,
     pooled_mean,
+    upper_bound_of_none,
 )
 from dpbench.analysis.suites.study import paired_difference
 
@@ -133,9 +133,9 @@ def draw_study(
 def draw_none(rng: Random, count: int) -> tuple[float, Interval]:
     """The bound of a share of which none was found, of the share for which it is most often wrong:
     just above the bound."""
-    truth = 1.001 * none_of(count)
+    truth = 1.001 * upper_bound_of_none(count)
     found = rng.uniform(size=count) < truth
-    high = 1.0 if found.any() else none_of(count)
+    high = 1.0 if found.any() else upper_bound_of_none(count)
     return truth, Interval(float(found.mean()), 0.0, high)
 
 

@@ -71,7 +71,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     """Run faults in one campaign and return the state of each solver with the reason for it."""
     # Imported here, so that the variables for threads are set before NumPy loads.
     from dpbench import load_results, run_campaign
-    from dpbench.analysis.verdict.fastest import best_of_each
+    from dpbench.analysis.verdict.fastest import best_verdict_by_solver
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import clauses
     from dpbench.solvers.table import load_solver_module
@@ -87,7 +87,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     solvers = _list([*faults, TWIN, *BESIDE])
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
     verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).data.verdicts
-    best = {v.configuration.solver: v for v in best_of_each(verdicts)}
+    best = {v.configuration.solver: v for v in best_verdict_by_solver(verdicts)}
     return {name: (v.state, clauses(v.causes or v.missing)) for name, v in best.items()}
 
 

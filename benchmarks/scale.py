@@ -38,7 +38,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, batch_part
 from dpbench.bench.workers.jobs import BATCH_CELLS
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
 CONFIGURATIONS = 12
@@ -199,7 +199,7 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     suite, small = suite_in(out, -(-cells // (4 * len(LEVELS)))), suite_in(out / "real", 1)
     campaign(small, out / "real" / "results")
     real = _real_cells(out / "real" / "results")
-    identity, machine = available("daqp").identity, describe_machine()["id"]
+    identity, machine = check_availability("daqp").identity, describe_machine()["id"]
     rng, store = np.random.default_rng(1), CellStore(out / "results")
     factors: dict[tuple[int, int], float] = {}
     batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}

@@ -16,7 +16,7 @@ from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.formulation import Box, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
+from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.kernels import hessian_blocks
 from dpbench.scenario.scenario import Scenario, condense
@@ -70,7 +70,7 @@ def test_condense(
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
 def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
     """The algebra alone: what a re-linearised step needs."""
-    benchmark(lambda: affine_map(problem, condense_matrices(problem), "scaled"))
+    benchmark(lambda: build_affine_map(problem, condense_matrices(problem), "scaled"))
 
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")

@@ -20,9 +20,11 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.table import available, solver_names
+from dpbench.solvers.table import check_availability, solver_names
 
-INSTALLED = [name for name in solver_names() if available(name).ok and name != BASELINE_LAW]
+INSTALLED = [
+    name for name in solver_names() if check_availability(name).ok and name != BASELINE_LAW
+]
 
 
 @pytest.mark.benchmark(group="update + solve + read, mean over 120 steps of `paper`", min_rounds=3)

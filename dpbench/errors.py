@@ -80,7 +80,7 @@ MOST_NAMES = 6
 _NEAREST = 3
 
 
-def one_of(text: str, known: Sequence[str], *, listing: str = "") -> str:
+def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Name what is allowed in place of `text`: all known names, or the three nearest and `listing`.
 
     listing : the command that lists all names; "" where there is none.
@@ -97,7 +97,7 @@ class RenamedWarning(FutureWarning):
     """An old word in a file or command; the message names the new one."""
 
 
-def renamed(where: str, old: str, new: str) -> None:
+def warn_renamed(where: str, old: str, new: str) -> None:
     """Warn that `old`, found in `where`, is now called `new`."""
     warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 

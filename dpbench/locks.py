@@ -23,7 +23,7 @@ from dpbench.errors import InputError
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
 """Flags to open a lock."""
-ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
+EXCLUSIVE, SHARED = fcntl.LOCK_EX, fcntl.LOCK_SH
 MAX_BYTES = 2**16
 """Largest part of a lock file that is read."""
 MAX_WORK = 100
@@ -54,7 +54,7 @@ class Holder:
 
 
 @dataclass(frozen=True)
-class Patience:
+class WaitLimit:
     """The longest wait for a lock that others hold: 0 for none, None without a limit."""
 
     limit_s: float | None = None
@@ -65,7 +65,7 @@ class BusyError(InputError):
 
 
 @contextmanager
-def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
+def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) -> Iterator[bool]:
     """Hold a lock as long as the block lasts.
 
     Yields false where another holds it, where it is another user's, or where the disk has no locks.
@@ -86,7 +86,7 @@ def _lock(
     opened_as: int,
     how: int,
     where: str,
-    patience: Patience,
+    patience: WaitLimit,
     say_waiting: Callable[[str], None],
 ) -> Iterator[int | None]:
     """Hold a lock as long as the block lasts, after a wait; yield its descriptor, if any."""
@@ -109,7 +109,7 @@ def lock_file(
     holder: Holder,
     *,
     where: str,
-    patience: Patience = Patience(),
+    patience: WaitLimit = WaitLimit(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> Iterator[bool]:
     """Hold the lock of a file as long as the block lasts; yield whether there is one.
@@ -132,19 +132,19 @@ def lock_file(
 
 @contextmanager
 def lock_folder(
-    folder: Path, *, patience: Patience, say_waiting: Callable[[str], None]
+    folder: Path, *, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
     """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
-    with _lock(folder, FOLDER, ALONE, str(folder), patience, say_waiting) as lock:
+    with _lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
         yield lock is not None
 
 
 def _wait(
-    lock: int, how: int, where: str, patience: Patience, say_waiting: Callable[[str], None]
+    lock: int, how: int, where: str, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> None:
     """Wait for the lock of an open file as long as there is time for it."""
     if patience.limit_s != 0.0:
-        say_waiting(holders(lock))
+        say_waiting(describe_holders(lock))
     if patience.limit_s is None:
         # In the kernel's queue, where another that releases and locks again goes to the end.
         fcntl.flock(lock, how)
@@ -155,7 +155,7 @@ def _wait(
         if _try_lock(lock, how):
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-    found = f"in use by {holders(lock)}{waited}"
+    found = f"in use by {describe_holders(lock)}{waited}"
     raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
@@ -168,7 +168,7 @@ def _try_lock(lock: int, how: int) -> bool:
     return True
 
 
-def holders(lock: int) -> str:
+def describe_holders(lock: int) -> str:
     """Describe the holders of the lock of an open file or folder."""
     named = _others(lock) or _known_to_kernel(lock)
     return " and ".join(map(str, named)) or "another process, which left no name"

@@ -15,7 +15,7 @@ from functools import cache
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 
-from dpbench.locks import FOLDER, lease
+from dpbench.locks import FOLDER, try_lease
 
 PREFIX = "dpbench-scratch-"
 """Beginning of the names of such folders alone."""
@@ -33,7 +33,7 @@ def temporary_folder(place: Path) -> Iterator[Path]:
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
-    with lease(made, FOLDER):
+    with try_lease(made, FOLDER):
         folder = made.rename(made.with_name(made.name.removeprefix(".")))
         try:
             yield folder
@@ -44,7 +44,7 @@ def temporary_folder(place: Path) -> Iterator[Path]:
 def clear_abandoned(place: Path) -> None:
     """Remove the folders at a place whose process has ended."""
     for folder in place.glob(f"{PREFIX}*"):
-        with lease(folder, FOLDER) as abandoned:
+        with try_lease(folder, FOLDER) as abandoned:
             if abandoned:
                 _remove(folder)
 
@@ -73,7 +73,7 @@ def process_folder() -> Path:
     return folder
 
 
-def keep_sockets() -> None:
+def place_sockets_in_process_folder() -> None:
     """Have `multiprocessing` keep its sockets in the folder of this process, if its path fits."""
     before = tempfile.tempdir
     try:

@@ -6,7 +6,7 @@ import pickle
 
 import pytest
 
-from dpbench.errors import InputError, SituationError, SolverUnavailableError, one_of
+from dpbench.errors import InputError, SituationError, SolverUnavailableError, list_allowed
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability, check_available
 
@@ -15,7 +15,7 @@ NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
 
 def test_a_short_list_is_given_whole() -> None:
     """Six names, in their own order."""
-    assert one_of("tern", NAMES[1:]) == "one of rough, squall, swell, turn, turning, waves"
+    assert list_allowed("tern", NAMES[1:]) == "one of rough, squall, swell, turn, turning, waves"
 
 
 @pytest.mark.parametrize(
@@ -23,14 +23,14 @@ def test_a_short_list_is_given_whole() -> None:
 )
 def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None:
     """Seven names; the nearest first, then how many more there are and what lists them."""
-    *near, rest = one_of("tern", NAMES, listing=listing).split(", ")
+    *near, rest = list_allowed("tern", NAMES, listing=listing).split(", ")
     assert near[:2] == ["turn", "turning"] and near[2] in NAMES
     assert rest == f"… 4 more{end}"
 
 
 def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
     """Three names all the same, also for a text of a megabyte, at once."""
-    assert one_of("§" * 1_000_000, NAMES).endswith("… 4 more")
+    assert list_allowed("§" * 1_000_000, NAMES).endswith("… 4 more")
 
 
 @pytest.mark.parametrize(
@@ -57,6 +57,6 @@ def test_a_missing_solver_is_named_with_its_remedy(
     reason: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command that installs it, once."""
-    monkeypatch.setattr(table, "available", lambda name: Availability(False, "", reason))
+    monkeypatch.setattr(table, "check_availability", lambda name: Availability(False, "", reason))
     with pytest.raises(SolverUnavailableError, match=f"^solver osqp: {text}$"):
         check_available("osqp")

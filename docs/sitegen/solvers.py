@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dpbench.solvers.contract import Route
 from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
-from dpbench.solvers.settings import level_options, setting_names, settings_matter
+from dpbench.solvers.settings import has_tolerance_levels, level_options, setting_names
 from dpbench.solvers.table import TABLE
 from sitegen.markup import code, prose, table
 
@@ -127,7 +127,7 @@ def _faults(can: RouteRecord) -> list[str]:
 
 
 def _settings(row: SolverRecord) -> str:
-    if not settings_matter(row.name):
+    if not has_tolerance_levels(row.name):
         return "It has no tolerance to set: all levels are the same.\n"
     rows = []
     for name in setting_names(row.name):

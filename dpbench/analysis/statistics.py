@@ -17,7 +17,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from scipy.stats import beta
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import supports
+from dpbench.bench.judge.rules import supports_percentile
 
 PARTS = 5
 """Consecutive parts of a sequence whose means give the error of its mean."""
@@ -131,7 +131,7 @@ def adjust_holm(p: Floats) -> Floats:
     return adjusted
 
 
-def none_of(count: float) -> float:
+def upper_bound_of_none(count: float) -> float:
     """Return the 95 % upper bound of a share of which `count` draws show none.
 
     The rule of three (Hanley & Lippman-Hand 1983).
@@ -171,7 +171,7 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     are percentiles again (Woodruff 1952).
     """
     steps, share = len(values), 1.0 - percent / 100.0
-    if not supports(steps, percent):
+    if not supports_percentile(steps, percent):
         return UNKNOWN
     value = float(np.percentile(values, percent))
     if not has_interval_support(steps):

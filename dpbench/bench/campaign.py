@@ -27,26 +27,26 @@ from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
 from dpbench.bench.plan.run_request import Plan, RunRequest, plan_remarks
-from dpbench.bench.plan.suite import naming
+from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import Revision, revision, revisions
+from dpbench.bench.record.machine import Revision, current_revision, revisions
 from dpbench.bench.record.result_folder import (
     MachineDescription,
-    claimed,
     load_descriptions,
+    lock_result_folder,
     read_suite,
     write_json,
 )
-from dpbench.bench.sequences.capability_boundary import capability_in
+from dpbench.bench.sequences.capability_boundary import read_capability_plot
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
-from dpbench.locks import Patience
-from dpbench.solvers.table import available
+from dpbench.locks import WaitLimit
+from dpbench.solvers.table import check_availability
 
 
 class Campaign:
@@ -71,7 +71,7 @@ class Campaign:
         self.store = CellStore(out)
         self.attach_designs(designs, machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
-        self._libraries = {solver: available(solver) for solver in solvers}
+        self._libraries = {solver: check_availability(solver) for solver in solvers}
         self.work = shard.of_jobs([self._make_job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
@@ -183,7 +183,7 @@ class Campaign:
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._request_document(),
-            "revisions": made_by or revisions(self._earlier_revisions(), revision()),
+            "revisions": made_by or revisions(self._earlier_revisions(), current_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_accidents(runs, self.designs, remarks),
@@ -195,7 +195,7 @@ class Campaign:
 
     def _write_capability(self) -> None:
         """Write the capability plots of the files behind their QPs."""
-        tables = [capability_in(self.sources.path(key)) for key in self._at_boundary]
+        tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
@@ -232,7 +232,7 @@ def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
 def plan_suite_designs(plan: Plan) -> list[Design]:
     """Return the designs of a whole suite; a part of it has none."""
     table = None if plan.part else plan.document.design
-    with naming(plan.path):
+    with name_file_in_errors(plan.path):
         return plan_designs(table, plan.path.parent) if table else []
 
 
@@ -315,8 +315,8 @@ def run_campaign(
     folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
-        open_engine(engine, jobs, scheduler, tls, Patience(wait_s)) as opened,
-        claimed(folder, plan.name, Patience(wait_s)),
+        open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
+        lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
     ):
         for remark in plan_remarks(plan.cells):
             progress.remark(remark)

@@ -23,13 +23,13 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.result_folder import read_json, validated, write_json
+from dpbench.bench.record.result_folder import parse_document, read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.worker import pin, settle, write_outcome
+from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
-from dpbench.mpc.law import closed_loop_eigenvalues, gains
+from dpbench.mpc.law import compute_closed_loop_eigenvalues, gains
 from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
 from dpbench.ship.layout import AXES, HEADING, NORTH, YAW
@@ -169,7 +169,7 @@ def _trial_files(controller: Scenario, vessel: Path) -> ScenarioDocuments:
     }
     # Said here, before anything runs: what the two cannot make together.
     design: ScenarioDocuments = {**files, "scenario": trial}
-    scenario_of(design, where=f"suite: design: {controller.name}")
+    build_scenario(design, where=f"suite: design: {controller.name}")
     return design
 
 
@@ -220,8 +220,8 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
 
 def design_record(design: Design) -> DesignRecord:
     """Return the record of a design."""
-    scenario, documents = scenario_of(design.files), design.files["scenario"]
-    still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
+    scenario, documents = build_scenario(design.files), design.files["scenario"]
+    still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
     held = {
         STILL: find_bracket(partial(is_held, still)),
         WEATHER: find_bracket(partial(is_held, scenario)),
@@ -232,7 +232,7 @@ def design_record(design: Design) -> DesignRecord:
 def linear_record(scenario: Scenario) -> DesignRecord:
     """Return the record of a scenario's controller without a trial (paper eq. 35)."""
     problem = scenario.problem
-    roots = closed_loop_eigenvalues(problem.model, gains(problem))
+    roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
         vessel=scenario.vessel.id,
         controller=scenario.name,
@@ -252,7 +252,7 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
-    still = scenario_of(scenario.files | {"scenario": trial})
+    still = build_scenario(scenario.files | {"scenario": trial})
     # In still water port mirrors starboard, where ship and model do.
     mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0
     sides = SIDES[:1] if mirrored else SIDES
@@ -261,8 +261,8 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
     """Write the record of a design to `path`, in a process of its own."""
-    pin(core)
-    settle()
+    pin_to_core(core)
+    disable_gc_and_warnings()
     _write_designs(path, Designs((design_record(Design(**json.loads(text))),)))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
@@ -358,4 +358,4 @@ def _read_designs(path: Path) -> Designs:
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"
         raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
-    return validated(document, Designs, path)
+    return parse_document(document, Designs, path)

@@ -20,7 +20,7 @@ from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import CapabilitySource, Cell
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.errors import InputError, ResultsError
@@ -29,7 +29,7 @@ JUDGE_STEP_S = 0.00015
 """What of `STEP_S` is the referee's and the tables'."""
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """In the tables, of runs that have nothing in common (`docs/guide/scale.md`)."""
-_KIND = ["mode", *COLUMNS]
+_KIND = ["mode", *CONFIGURATION_COLUMNS]
 Kind = tuple[str, ...]
 
 
@@ -51,7 +51,9 @@ class Rates:
         return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
 
-STATED = Rates("stated rates of another machine; those of this one need a run in the same --out")
+STATED_RATES = Rates(
+    "stated rates of another machine; those of this one need a run in the same --out"
+)
 
 
 @dataclass(frozen=True)
@@ -135,13 +137,13 @@ def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> 
 
 
 def read_rates(folder: Path) -> Rates:
-    """Read the rates of the runs in a result folder; `STATED` where it has none."""
+    """Read the rates of the runs in a result folder; `STATED_RATES` where it has none."""
     try:
         runs = load_results(folder, without_steps=True).runs
         tables = [folder / f"{name}.parquet" for name in ("runs", "steps")]
         run_bytes, step_bytes = map(_bytes_of_row, tables)
     except (ResultsError, OSError):
-        return STATED
+        return STATED_RATES
     runs = runs[runs["replay_s"].notna()]
     rounds = runs["rounds"].where(runs["mode"] == "replay", 1)
     runs = runs.assign(recorded=runs["steps_done"] * rounds)

@@ -23,12 +23,12 @@ from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.result_folder import MachineDescription, claimed
+from dpbench.bench.record.result_folder import MachineDescription, lock_result_folder
 from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
-from dpbench.files.tables import in_full, opened_table
+from dpbench.files.tables import decode_words, open_table
 from dpbench.files.writing import write_bytes
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
@@ -66,7 +66,7 @@ def gather(
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
     plan, records = _make_plan(shards, suite, solver_module), list(shards.values())
     designs, remarks = plan_suite_designs(plan), _missing_shards(records)
-    with claimed(Path(out), plan.name):
+    with lock_result_folder(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
         finished, ignored = _collect_cells(list(shards), Path(out), plan.name)
         remarks += ignored
@@ -137,7 +137,7 @@ def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.Da
     """Return the rows of all finished cells, copied into `out`, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
-            stack.enter_context(claimed(folder, name))
+            stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
         _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
         for other in others:
@@ -176,8 +176,8 @@ def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
-        with opened_table(path) as file:
-            rows = in_full(file.read(columns=columns), path).to_pandas()
+        with open_table(path) as file:
+            rows = decode_words(file.read(columns=columns), path).to_pandas()
         for cell, outcome, detail in rows.itertuples(index=False):
             if outcome in ("lost", "invalid"):
                 yield str(cell), Outcome(str(outcome), str(detail))

@@ -14,8 +14,13 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, answers_of
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.frontier import INTACT, Frontier, Held
-from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
+from dpbench.bench.capability.frontier import INTACT, Frontier, WindLimit
+from dpbench.bench.capability.study import (
+    FROM_DEG,
+    Capability,
+    compute_capability,
+    is_beyond_standard,
+)
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.cli.terminal import WIDTH, Bar
@@ -43,7 +48,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
     frontier = Frontier(vessel, arguments.sides)
     quiet = arguments.json
     with Bar(transient=True, quiet=quiet) as bar:
-        capability = capability_of(frontier, bar)
+        capability = compute_capability(frontier, bar)
     if figure is not None:
         _draw(capability, vessel, figure)
     answers: list[Answers] = []
@@ -68,7 +73,7 @@ def _judge_solvers(
     if frontier.sides is None:
         frontier = Frontier(frontier.vessel, SIDES)
         with Bar(transient=True, quiet=quiet) as bar:
-            capability = capability_of(frontier, bar)
+            capability = compute_capability(frontier, bar)
     suite = write_batch(frontier, capability, out)
     with Bar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
@@ -87,7 +92,7 @@ def _figure_file(name: str | None) -> Path | None:
 
 def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
     from dpbench.report.charts.capability import COLUMNS as DRAWN
-    from dpbench.report.charts.capability import rose
+    from dpbench.report.charts.capability import draw_rose
     from dpbench.report.charts.render import save
 
     rows = [
@@ -96,7 +101,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
     title = f"{vessel.title}: largest wind held"
-    save(rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+    save(draw_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
@@ -121,8 +126,8 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *_verdict(capability)]
 
 
-def _cell(held: Held) -> str:
-    beyond = "+" if holds_most(held) else " "
+def _cell(held: WindLimit) -> str:
+    beyond = "+" if is_beyond_standard(held) else " "
     return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 

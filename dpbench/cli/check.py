@@ -100,7 +100,7 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
-    from dpbench.bench.plan.suite import SuiteFile, load_suite, naming
+    from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
 
     of_suite = SuiteFile.tables_of_cells()
     if not any(table in document for table in of_suite):
@@ -114,5 +114,5 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     suite_path, suite = load_suite(file)
     from dpbench.bench.plan.plan import plan
 
-    with naming(suite_path):
+    with name_file_in_errors(suite_path):
         return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dpbench.bench.judge.calibration import calibrate
-from dpbench.bench.record.disturbance import RULE
+from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrapped
 from dpbench.report.formats import MISSING
@@ -35,7 +35,7 @@ def doctor_lines() -> list[str]:
     ]
     verdicts = (
         f"machine: {verdict_text(harness.disturbance)}",
-        f"quiet means: {RULE}",
+        f"quiet means: {QUIET_RULE}",
         f"harness: {calibration_text(harness.p50_ns)}",
     )
     return [

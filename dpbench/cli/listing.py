@@ -97,10 +97,10 @@ def _solvers() -> RenderableType:
 
 def _solver(name: str) -> str:
     from dpbench.solvers.settings import describe_levels
-    from dpbench.solvers.table import available, record
+    from dpbench.solvers.table import check_availability, find_record
 
     # Importing all libraries takes longer than all the rest.
-    row, library = record(name), available(name, imported=False)
+    row, library = find_record(name), check_availability(name, imported=False)
     version = library.version or "" if library.ok else f"not installed: {library.reason}"
     policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
     about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
 from dpbench.cli.arguments import HOW_TO_END, complete, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, renamed
-from dpbench.files.writing import write_given
+from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, warn_renamed
+from dpbench.files.writing import write_named_file
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table
@@ -69,7 +69,7 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
         warnings.simplefilter("always", RenamedWarning)
         warnings.showwarning = _print_warning
         if words and words[0] in OLD_COMMANDS:
-            renamed("command", words[0], OLD_COMMANDS[words[0]])
+            warn_renamed("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
@@ -153,21 +153,21 @@ def _run(arguments: argparse.Namespace) -> int:
         return _dry_run(arguments)
     from dpbench.bench.campaign import run_campaign
     from dpbench.cli.terminal import Bar, say_ending
-    from dpbench.report.write import report_and_ending
+    from dpbench.report.write import write_report_with_summary
 
     with Bar(quiet=arguments.quiet or arguments.json) as bar:
         out = run_campaign(**_given(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
-        page_and_ending = report_and_ending(out)
+        page_and_ending = write_report_with_summary(out)
     say_ending(*page_and_ending, arguments)
     return _print_accidents(out)
 
 
 def _print_accidents(out: Path) -> int:
     """Print the accidents of the benchmark itself, a line each; return the exit code."""
-    from dpbench.bench.record.result_folder import accidents
+    from dpbench.bench.record.result_folder import read_accidents
 
-    lost, remarks = accidents(out)
+    lost, remarks = read_accidents(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return int(lost > 0)
@@ -186,20 +186,22 @@ def _cells(arguments: argparse.Namespace) -> int:
 def _gather(arguments: argparse.Namespace) -> int:
     from dpbench.bench.gather import gather
     from dpbench.cli.terminal import say_ending
-    from dpbench.report.write import report_and_ending
+    from dpbench.report.write import write_report_with_summary
 
     out = gather(**_given(arguments, *HOW_TO_END))
-    say_ending(*report_and_ending(out), arguments)
+    say_ending(*write_report_with_summary(out), arguments)
     return _print_accidents(out)
 
 
 def _report(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import say_ending
-    from dpbench.report.write import report_and_ending
+    from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
-    page_and_ending = report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END))
+    page_and_ending = write_report_with_summary(
+        arguments.dir, **_given(arguments, "dir", *HOW_TO_END)
+    )
     say_ending(*page_and_ending, arguments)
     return 0
 
@@ -256,7 +258,7 @@ def _print_comparison(
         print(markdown, end="")
         return
     if file is not None:
-        write_given(Path(file), markdown.encode())
+        write_named_file(Path(file), markdown.encode())
     screen = console()
     for table in tables:
         screen.print(report_table(table, screen))
@@ -265,10 +267,10 @@ def _print_comparison(
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from dpbench.bench.sequences.export import check_asked, export
+    from dpbench.bench.sequences.export import check_export_options, export
     from dpbench.cli.terminal import say
 
-    check_asked(vars(arguments))
+    check_export_options(vars(arguments))
     if arguments.all:
         from dpbench.bench.sequences.shipped import regenerate
         from dpbench.cli.terminal import Bar

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.cli.terminal import WIDTH
-from dpbench.errors import InputError, SituationError, one_of
-from dpbench.report.words import document
+from dpbench.errors import InputError, SituationError, list_allowed
+from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_mss, read_table
 from dpbench.scenario.scenario import load_vessel
@@ -146,7 +146,10 @@ def _new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> 
     thrust = _thrust(numbers, own)
     if options.like is not None and options.like not in scaling.LIBRARY:
         raise InputError(
-            WHERE, "--like", repr(options.like)[:80], one_of(options.like, list(scaling.LIBRARY))
+            WHERE,
+            "--like",
+            repr(options.like)[:80],
+            list_allowed(options.like, list(scaling.LIBRARY)),
         )
     like = options.like or scaling.nearest_ship(own)
     vessel = scaling.scale_vessel(like, own, thrust, options.name)
@@ -251,7 +254,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
     added = np.diag(vessel.M) - scaling.rigid_body(ship.own)
     added = added / scaling.regression_added_mass(ship.own)
-    return document(
+    return render_document(
         "own_vessel.toml",
         **vars(ship),
         command=command,
@@ -304,7 +307,7 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
     """Return the scenario file; `chosen`: the program chose the sea."""
     longer = scaling.froude_time(vessel.length_m) ** 2
     wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
-    return document(
+    return render_document(
         "own_scenario.toml",
         comment=_comment,
         name=name,
@@ -337,7 +340,7 @@ def _why_this_sea(share: float, *, chosen: bool) -> str:
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
     """Return the suite file, which compares solvers in that scenario."""
-    return document(
+    return render_document(
         "own_suite.toml",
         name=name,
         weather=weather,

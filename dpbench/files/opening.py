@@ -31,7 +31,7 @@ _KINDS = {
 
 
 @contextmanager
-def opened(
+def open_regular_file(
     path: Path,
     what: str = "a readable file",
     *,
@@ -73,8 +73,8 @@ def opened(
 def read_bytes(
     path: Path, what: str, *, most_bytes: int, error: type[InputError] = InputError
 ) -> bytes:
-    """Read the content of a file that others made; raises as `opened` does."""
-    with opened(path, what, most_bytes=most_bytes, error=error) as file:
+    """Read the content of a file that others made; raises as `open_regular_file` does."""
+    with open_regular_file(path, what, most_bytes=most_bytes, error=error) as file:
         try:
             return file.read(most_bytes)
         except OSError as failure:

@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.errors import InputError
-from dpbench.files.opening import check_unpacked, opened
+from dpbench.files.opening import check_unpacked, open_regular_file
 
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000
@@ -36,7 +36,7 @@ _IS_ALLOWED = (
 
 
 @contextmanager
-def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
+def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
     """Open a table of numbers and words; its words are read as dictionaries.
 
     Raises
@@ -44,7 +44,7 @@ def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterato
     InputError : it is no regular file, has columns of other types, or unpacks to too much.
     OSError, ValueError, ArrowException : it is damaged.
     """
-    with opened(path, WHAT, error=error) as file:
+    with open_regular_file(path, WHAT, error=error) as file:
         size = os.fstat(file.fileno()).st_size
         metadata = pq.ParquetFile(file, thrift_container_size_limit=MOST_ENTRIES).metadata
         schema = metadata.schema.to_arrow_schema()
@@ -70,8 +70,8 @@ def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
     return sum(a_row * group.num_rows + group.total_byte_size for group in groups)
 
 
-def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
-    """Decode the table, so that each row has its own text; raises as `opened_table` does."""
+def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
+    """Decode the table, so that each row has its own text; raises as `open_table` does."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
     check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():

@@ -47,7 +47,7 @@ def new_file(path: Path) -> Path:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Provide a new file that replaces `path` when the block ends, whole or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
@@ -57,7 +57,7 @@ def replaced(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def put(part: Path, path: Path) -> None:
+def replace_durably(part: Path, path: Path) -> None:
     """Give a written file its name, so that both survive a power failure from then on."""
     sync(part)
     part.replace(path)
@@ -75,7 +75,7 @@ def sync(path: Path) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, whole or not at all."""
-    with replaced(path) as part:
+    with replace_file(path) as part:
         part.write_bytes(content)
 
 
@@ -84,7 +84,7 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode(errors="replace"))
 
 
-def write_given(path: Path, content: bytes) -> None:
+def write_named_file(path: Path, content: bytes) -> None:
     """Write a file that a person named, which may be a device or a pipe too."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)

@@ -186,7 +186,9 @@ def _thrust_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
     return E, F_u
 
 
-def affine_map(problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem) -> Matrix:
+def build_affine_map(
+    problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem
+) -> Matrix:
     """Return Z (n + 2m, n_x + n_y + n_u + 1): [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24)."""
     unit, row_unit = problem.du_max, problem.row_max
     if units == "si":

@@ -15,7 +15,7 @@ from dpbench.mpc.condense import (
     CondensedMatrices,
     ControlProblem,
     UnitSystem,
-    affine_map,
+    build_affine_map,
     condense_matrices,
     scaled_rows,
     summed_rows,
@@ -107,7 +107,7 @@ class CondensedQP:
         self.A: Matrix = summed_rows(N_c, scaled_rows(problem, self.units))
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
-        self.Z: Matrix = affine_map(problem, self._matrices, self.units)
+        self.Z: Matrix = build_affine_map(problem, self._matrices, self.units)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
         """Return further rows of a subclass, behind all others of a move."""
@@ -117,7 +117,7 @@ class CondensedQP:
         """Rebuild the problem with soft amplitude limits, output bounds or further rows."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
-        P, Z = matrices.E * np.outer(du, du), affine_map(problem, matrices, "scaled")
+        P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
         penalty = Penalty.default(problem, P) if self.penalty is None else self.penalty
         soft = self.amplitude == "soft"
         blocks = [amplitude_block(problem, Z, penalty.amplitude if soft else None)]

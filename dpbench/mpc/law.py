@@ -71,7 +71,7 @@ def closed_loop(model: StateSpace, law: Gains) -> Matrix:
     return model.A - model.B @ law.K_mpc
 
 
-def closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
+def compute_closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
     """Return the roots of eq. 35, by falling modulus."""
     roots = np.linalg.eigvals(closed_loop(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]

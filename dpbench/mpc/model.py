@@ -118,7 +118,7 @@ def augment(discrete: StateSpace) -> StateSpace:
     return StateSpace(A, B, C)
 
 
-def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
+def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
     """Return the incremental model of a ship at heading ψ0 (eq. 5-11), cached."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
     return _model_of(inertia, damping, psi0_rad, sample_s)
@@ -136,7 +136,7 @@ def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y
     whole, only their rows over Δν, and those of B, change: both are linear in R. `model` has the 9
-    states and 3 outputs of `prediction_model`.
+    states and 3 outputs of `build_prediction_model`.
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):

@@ -27,14 +27,14 @@ class ReferenceFilter:
     damping: float = 1.0
 
 
-def nearest_pose(target: Vector, start: Vector) -> Vector:
+def unwrap_pose(target: Vector, start: Vector) -> Vector:
     """Return the pose `target` (3,) with its heading within π of the start's."""
     reference = target.copy()
     reference[YAW] = nearest_turn(target[YAW], start[YAW])
     return reference
 
 
-def reference_table(
+def build_reference_table(
     start: Vector,
     target: Vector,
     samples: int,
@@ -46,7 +46,7 @@ def reference_table(
     start, target : (3,) poses; the filter begins at rest at the start. smoothed : the filter; None
     for a set-point from the first sample on.
     """
-    goal = nearest_pose(target, start)
+    goal = unwrap_pose(target, start)
     table = np.tile(goal, (samples, 1))
     if smoothed is None:
         return table

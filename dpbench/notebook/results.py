@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
@@ -76,7 +76,7 @@ class Results(result_folder.Results):
         """Return the answer, and the best configuration of each solver, as HTML."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(self._report.data, best_of_each(self._report.data.verdicts))
+        rows = solver_rows(self._report.data, best_verdict_by_solver(self._report.data.verdicts))
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 

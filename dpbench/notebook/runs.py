@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.bench.judge.answer_caching import is_remembered
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
@@ -229,7 +229,7 @@ def _run(
     cell: Cell,
     workspace: Workspace,
     timed_solver: TimedSolver,
-    evaluated: Evaluated,
+    evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
     steps = step_columns(cell, evaluated)

@@ -229,7 +229,7 @@ class QPSequence:
         return self.base.at(self.step(k))
 
 
-def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
+def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
     """Convert a scaled sequence, which is kept as the scaled form of the result.
 
         P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb

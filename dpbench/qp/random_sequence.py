@@ -82,10 +82,10 @@ class Planted:
 
 def random_sequence(recipe: RandomRecipe) -> QPSequence:
     """Make the sequence of a recipe; the same recipe gives the same bits."""
-    return planted(recipe).sequence
+    return plant_sequence(recipe).sequence
 
 
-def planted(recipe: RandomRecipe) -> Planted:
+def plant_sequence(recipe: RandomRecipe) -> Planted:
     """Make the sequence of a recipe with its optima; the same recipe gives the same bits."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]

@@ -46,12 +46,12 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     everything inf; in the multipliers, everything but `primal`.
     """
     vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
-    of_all = residuals_of_all(qp, *(vector[np.newaxis] for vector in vectors))
+    of_all = compute_residuals_of_many(qp, *(vector[np.newaxis] for vector in vectors))
     numbers = of_all.primal, of_all.dual, of_all.complementarity, of_all.gap
     return Residuals(*(float(number[0]) for number in numbers))
 
 
-def residuals_of_all(
+def compute_residuals_of_many(
     qp: QuadraticProgram,
     q: Matrix,
     l: Matrix,  # noqa: E741 - l ≤ Az ≤ u, the name of the field
@@ -97,7 +97,7 @@ def _mark_lost(numbers: Vector, lost: Flags) -> Vector:
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
-def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
+def fit_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
     """Find the multipliers y (m,), y_box (n,) that explain `z` best, for answers without any.
 
     Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within tol·(1 +

@@ -142,7 +142,7 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
     )
 
 
-def received(answer: Any, n: int, m: int) -> Solution:
+def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
     """Return a plain copy of `answer`, so that nothing of it is computed later.
 
     answer : what a solver gave; n, m : variables and rows of its QP.

@@ -22,11 +22,11 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.table import csv_bytes, markdown_text
-from dpbench.report.words import beside, document
+from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"
-TABLES: dict[str, str] = beside(__file__)["tables"]
-COLUMNS: dict[str, str] = beside(__file__)["columns"]
+TABLES: dict[str, str] = read_words(__file__)["tables"]
+COLUMNS: dict[str, str] = read_words(__file__)["columns"]
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
@@ -68,7 +68,7 @@ def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
         )
         for name, table in tables.items()
     }
-    return document("tables.md", tables=wording)
+    return render_document("tables.md", tables=wording)
 
 
 def _ladder_table(data: PageData) -> pd.DataFrame:

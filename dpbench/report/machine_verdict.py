@@ -7,7 +7,7 @@ from math import isnan
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.machine import largest_of
-from dpbench.bench.judge.calibration import within_bar
+from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
@@ -29,7 +29,7 @@ def verdict_text(disturbance: Disturbance) -> str:
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
     """Judge the harness by the median times of its own solvers [ns]."""
-    missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]
+    missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
     return f"{verdict} ({wording})"
@@ -68,7 +68,7 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     ]
 
 
-def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
+def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """List the configurations that leave the processor by their own doing."""
     own = largest_of(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows

@@ -28,7 +28,7 @@ from dpbench.report.page.live import charts_of, drawn_figures
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import topics_of
-from dpbench.report.verdict_text import counted
+from dpbench.report.verdict_text import count_solvers
 
 TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
 """Notes of the recommendation on a terminal."""
@@ -95,7 +95,7 @@ class Report:
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if verdicts.of:
-            rows.append(("solvers", f"{counted(verdicts)}."))
+            rows.append(("solvers", f"{count_solvers(verdicts)}."))
         records = self.data.records
         disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:

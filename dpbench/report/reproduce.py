@@ -9,19 +9,19 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, Law, data_behind, laws_of
+from dpbench.analysis.suites.paper import PAPER, Law, figure_data, find_paper_runs
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.machine import made_by
-from dpbench.bench.record.result_folder import Results, accidents, load_results
+from dpbench.bench.record.machine import describe_version
+from dpbench.bench.record.result_folder import Results, load_results, read_accidents
 from dpbench.files.writing import write_bytes, write_text
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, unmarked
 from dpbench.report.page.section import Topic
 from dpbench.report.table import csv_bytes, markdown
 from dpbench.report.topics.paper import Claim, claims, count_reproduced, paper_topic
-from dpbench.report.words import document
+from dpbench.report.words import render_document
 from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
@@ -78,11 +78,11 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
     designs = Designs((linear_record(scenario),)) if scenario is not None else None
     topic = paper_topic(records, designs)
-    lost, remarks = accidents(runs)
+    lost, remarks = read_accidents(runs)
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
-    _write_figures(folder, topic, laws_of(records), scenario)
+    _write_figures(folder, topic, find_paper_runs(records), scenario)
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
     write_text(folder / "claims.md", _claims_document(topic, results))
     judged = claims(records)
@@ -105,7 +105,7 @@ def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Sc
         name = f"figure{number}_{short}"
         for kind in FORMATS:
             write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
-        data = pd.concat([data_behind(short, law, scenario) for law in laws])
+        data = pd.concat([figure_data(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
@@ -113,8 +113,10 @@ def _claims_document(topic: Topic, results: Results) -> str:
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
-    made = made_by(results.suite)
-    return document("claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS)
+    made = describe_version(results.suite)
+    return render_document(
+        "claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS
+    )
 
 
 def _list_contradicted(judged: Sequence[Claim]) -> list[str]:

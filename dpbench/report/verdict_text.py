@@ -10,10 +10,14 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
-from dpbench.analysis.verdict.fastest import SolverChoice, best_of_each, known_record
+from dpbench.analysis.verdict.fastest import (
+    SolverChoice,
+    best_verdict_by_solver,
+    find_solver_record,
+)
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, detail
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
 from dpbench.report.formats import (
     and_list,
     count_text,
@@ -24,7 +28,7 @@ from dpbench.report.formats import (
     time_text,
     unmarked,
 )
-from dpbench.report.words import beside
+from dpbench.report.words import read_words
 
 NOBODY = "No solver was run, so there is nothing to judge."
 
@@ -50,11 +54,11 @@ _GROUPS = {"pass": "only otherwise"} | {
 }
 
 
-def counted(verdicts: Verdicts) -> str:
+def count_solvers(verdicts: Verdicts) -> str:
     """Count the solvers by their best verdict: pass by default, pass otherwise, and the others."""
     if not verdicts.references:
         return NOBODY
-    best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
+    best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}
     groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
     for reference in verdicts.references:
         solver = reference.configuration.solver
@@ -72,7 +76,7 @@ def counted(verdicts: Verdicts) -> str:
 
 def deployment_facts(solver: str) -> str:
     """State licence, language and C code generation of a solver."""
-    known = known_record(solver)
+    known = find_solver_record(solver)
     if known is None:
         return "Its licence and language are not known here."
     project = known.project
@@ -127,7 +131,7 @@ def clauses(findings: Sequence[Finding]) -> str:
     return "; ".join(map(clause, findings))
 
 
-_WORDS: dict[str, str] = beside(__file__)["findings"]
+_WORDS: dict[str, str] = read_words(__file__)["findings"]
 
 
 def clause(finding: Finding) -> str:
@@ -143,7 +147,7 @@ def clause(finding: Finding) -> str:
         **words,
         where=experiment_text(first),
         experiments=_experiments_text(finding.runs),
-        detail=detail(first),
+        detail=outcome_cause(first),
         outcome=first.outcome,
         planned=count_text(first.steps_planned),
         of=plural(done, "step"),
@@ -186,7 +190,7 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
     return and_list(loops)
 
 
-def judged_on(verdict: Verdict) -> str:
+def judged_runs_text(verdict: Verdict) -> str:
     """Count the loops and replays that a configuration was judged on."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

@@ -52,12 +52,12 @@ def fill_template(words: str, **values: Any) -> str:
     return _compiled(words).render(values)
 
 
-def document(template: str, **values: Any) -> str:
+def render_document(template: str, **values: Any) -> str:
     """Render a document of `documents/templates`."""
     return _environment().get_template(f"{template}.j2").render(values)
 
 
 @cache
-def beside(module: str) -> dict[str, Any]:
+def read_words(module: str) -> dict[str, Any]:
     """Read the TOML file beside a module, of its name."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
-from dpbench.bench.record.result_folder import load_results, writing
+from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.documents.markdown import beside, report_markdown, worst_text
+from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
 from dpbench.report.documents.sent import PAGE, prepare_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html
@@ -37,10 +37,10 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     InputError : for a baseline that was not run, or a link in place of a folder to write into;
         nothing is written then.
     """
-    return report_and_ending(out, baseline=baseline)[0]
+    return write_report_with_summary(out, baseline=baseline)[0]
 
 
-def report_and_ending(
+def write_report_with_summary(
     out: str | Path,
     *,
     baseline: str | None = None,
@@ -68,10 +68,10 @@ def report_and_ending(
         if kind not in FORMATS:
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
-    with writing(folder):
+    with lock_for_writing(folder):
         beside_it = load_designs(folder), baseline, load_capability(folder)
         report = Report.of(load_results(folder), *beside_it)
-        comment, worst = ("", []) if solver is None else beside(report, solver, against)
+        comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
         drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
         if statement is not None:
             write_statement(Path(statement), folder, report.results, report.data)

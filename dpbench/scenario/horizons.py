@@ -17,7 +17,7 @@ def parse_horizons(text: str) -> Horizons:
     return N_p, N_c
 
 
-def different_horizons(texts: list[str]) -> list[str]:
+def check_distinct_horizons(texts: list[str]) -> list[str]:
     """Return `texts`; ValueError for one that is malformed or repeated."""
     seen: set[Horizons] = set()
     for text in texts:

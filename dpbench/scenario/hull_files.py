@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.files.mat import read_structure
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
@@ -169,7 +169,9 @@ def _values(path: Path) -> dict[str, float]:
         name = cell.strip()
         if name not in known or name in values:
             found = "a second row" if name in values else "an unknown coefficient"
-            raise InputError(str(path), repr(name)[:80], found, f"each once, {one_of(name, known)}")
+            raise InputError(
+                str(path), repr(name)[:80], found, f"each once, {list_allowed(name, known)}"
+            )
         values[name] = _number(path, name, rest[0] if rest else "")
     return values
 

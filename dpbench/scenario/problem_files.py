@@ -16,7 +16,7 @@ from pydantic import (
     model_serializer,
 )
 
-from dpbench.errors import InputError, UnknownNameError, one_of, renamed
+from dpbench.errors import InputError, UnknownNameError, list_allowed, warn_renamed
 from dpbench.files.documents import MOST_DEPTH, check_values
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
@@ -90,7 +90,7 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
     """
     text = str(name)
     if (kind, text) in OLD_NAMES:
-        renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
+        warn_renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
         text = OLD_NAMES[kind, text]
     if not text.endswith(".toml") and "/" not in text:
         path = problems_root() / kind / f"{text}.toml"
@@ -129,7 +129,7 @@ def is_stored(name: str | Path) -> bool:
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
     """Make the error of an unknown name; `otherwise` is what is allowed instead of a name."""
-    allowed = one_of(text, problem_names(kind), listing=f"dpbench list {kind}")
+    allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
@@ -164,7 +164,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
     """Validate `document` as a `model`; `where` names it in errors."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
-            renamed(where, old, new)
+            warn_renamed(where, old, new)
             document = {new if key == old else key: value for key, value in document.items()}
     try:
         return model.model_validate(document)
@@ -177,7 +177,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
                 raise InputError(where, key, "an old name", f"{new}, its name now") from error
-            allowed = one_of(keys[-1], _allowed_keys(model, keys[:-1]))
+            allowed = list_allowed(keys[-1], _allowed_keys(model, keys[:-1]))
             raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error

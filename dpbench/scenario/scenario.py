@@ -15,7 +15,7 @@ from dpbench.display import fields_html, numbers_text
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.reference import ReferenceFilter, reference_table
+from dpbench.mpc.reference import ReferenceFilter, build_reference_table
 from dpbench.scenario.controllers.controller import Controller
 from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
@@ -60,7 +60,7 @@ class Scenario:
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
-    files : the documents from which `scenario_of` makes it again.
+    files : the documents from which `build_scenario` makes it again.
     """
 
     name: str
@@ -117,9 +117,11 @@ class Scenario:
         """(6,) [u, v, r, n, e, ψ] at the first sample."""
         return np.concatenate([self.velocity, self.start])
 
-    def reference_table(self, samples: int) -> Matrix:
+    def build_reference_table(self, samples: int) -> Matrix:
         """Tabulate the reference (samples, 3), heading unwrapped from the start's."""
-        return reference_table(self.start, self.reference, samples, self.sample_s, self.smoothed)
+        return build_reference_table(
+            self.start, self.reference, samples, self.sample_s, self.smoothed
+        )
 
     def estimator(self) -> Estimator:
         """Make an estimator, started in the state of the first sample."""
@@ -155,9 +157,9 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),
-        **vessel_files(vessel_path),
+        **read_vessel_documents(vessel_path),
     }
-    return scenario_of(files, where=str(path), vessel_where=str(vessel_path))
+    return build_scenario(files, where=str(path), vessel_where=str(vessel_path))
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
@@ -166,18 +168,20 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
     return read_model(path, VesselFile).vessel(path.stem, str(path))
 
 
-def vessel_files(name_or_path: str | Path, *, beside: Path | None = None) -> VesselDocuments:
+def read_vessel_documents(
+    name_or_path: str | Path, *, beside: Path | None = None
+) -> VesselDocuments:
     """Read the vessel's part of `Scenario.files`; a relative path as in `load_scenario`."""
     path = problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
 
 
-def vessel_of(files: VesselDocuments, where: str = "vessel") -> Vessel:
+def build_vessel(files: VesselDocuments, where: str = "vessel") -> Vessel:
     """Make the vessel of such documents."""
     return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
 
 
-def scenario_of(
+def build_scenario(
     files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
     """Make the scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
@@ -219,7 +223,7 @@ def scenario_of(
     )
 
 
-def scenario_once(files: ScenarioDocuments) -> Scenario:
+def cached_scenario(files: ScenarioDocuments) -> Scenario:
     """Make a scenario once a process, whatever the seed of its weather."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
@@ -232,7 +236,7 @@ def scenario_once(files: ScenarioDocuments) -> Scenario:
 
 @lru_cache(maxsize=64)
 def _cached_scenario(files: str) -> Scenario:
-    return scenario_of(json.loads(files))
+    return build_scenario(json.loads(files))
 
 
 def _actuators(

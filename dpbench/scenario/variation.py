@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.scenario.scenario import Scenario, scenario_of, vessel_files
+from dpbench.scenario.scenario import Scenario, build_scenario, read_vessel_documents
 from dpbench.ship.plant import SUBSTEPS
 
 VESSEL = "vessel"
@@ -24,7 +24,7 @@ SEED = "environment.seed"
 _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 
-def varied(
+def with_values(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
     """Return the scenario with other values of some keys, under its own name.
@@ -32,22 +32,22 @@ def varied(
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
     """
-    files = varied_files(scenario.files, values, where, beside=beside)
-    return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
+    files = documents_with_values(scenario.files, values, where, beside=beside)
+    return build_scenario(files, where=where, vessel_where=f"{where}: vessel")
 
 
-def varied_files(
+def documents_with_values(
     files: ScenarioDocuments,
     values: Mapping[str, object],
     where: str,
     *,
     beside: Path | None = None,
 ) -> ScenarioDocuments:
-    """Return the documents of `varied`, without validating the scenario."""
+    """Return the documents of `with_values`, without validating the scenario."""
     changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
-            changed |= vessel_files(str(value), beside=beside)
+            changed |= read_vessel_documents(str(value), beside=beside)
     for key, value in values.items():
         if key != VESSEL:
             parts = key.split(".")
@@ -57,7 +57,7 @@ def varied_files(
     return cast(ScenarioDocuments, changed)
 
 
-def value_of(scenario: Scenario, key: str, where: str) -> object:
+def read_value(scenario: Scenario, key: str, where: str) -> object:
     """Return the scenario's own value of a key; InputError, naming `where`, without it."""
     if key == VESSEL:
         return scenario.files["vessel_name"]
@@ -81,7 +81,7 @@ def _find_index(table: Any, part: str, where: str) -> Any:
     if isinstance(table, dict):
         if part in table:
             return part
-        raise InputError(where, "", f"no key {part!r} there", one_of(part, sorted(table)))
+        raise InputError(where, "", f"no key {part!r} there", list_allowed(part, sorted(table)))
     if isinstance(table, list):
         if part.isdecimal() and int(part) < len(table):
             return int(part)
@@ -90,7 +90,7 @@ def _find_index(table: Any, part: str, where: str) -> Any:
     raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
 
 
-def differ(one: Scenario, other: Scenario, steps: int) -> bool:
+def behave_differently(one: Scenario, other: Scenario, steps: int) -> bool:
     """Return whether two runs can differ, in weather, ship, controller or reference."""
     return _behaviour(one, steps) != _behaviour(other, steps)
 

@@ -35,7 +35,7 @@ from dpbench.ship.weather.harmonics import random_stream
 from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
-Drawn = dict[str, Matrix]
+WeatherDraw = dict[str, Matrix]
 """Wind speed and wave height at the stage times, see `Environment.drawn`."""
 
 
@@ -137,10 +137,10 @@ class Environment:
             b += squall.at(t_s)
         return b
 
-    def drawn(self, steps: int, sample_s: float, substeps: int) -> Drawn:
+    def drawn(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
         """Sum up the harmonics of wind speed and wave height: (steps, 2·substeps + 1) each."""
         start, offset = _stages(steps, sample_s, substeps)
-        drawn: Drawn = {}
+        drawn: WeatherDraw = {}
         if self.wind is not None:
             drawn["wind"] = self.wind.speed(start, offset, self.seed)
         if self.drift is not None:
@@ -148,7 +148,7 @@ class Environment:
         return drawn
 
     def stage_table(
-        self, steps: int, sample_s: float, substeps: int, drawn: Drawn | None = None
+        self, steps: int, sample_s: float, substeps: int, drawn: WeatherDraw | None = None
     ) -> Matrix:
         """Tabulate the weather at Runge-Kutta 4 stages: (steps, 2·substeps + 1, 3 or 9).
 

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.ship.layout import AXES
 
 ThrusterKind = Literal["azimuth", "tunnel", "main"]
@@ -184,7 +184,7 @@ class ThrusterSet:
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:
             if name not in known:
-                raise InputError(where, key, repr(name), one_of(name, list(known)))
+                raise InputError(where, key, repr(name), list_allowed(name, list(known)))
         return {i for name in names for i in known[name]}
 
 

@@ -39,13 +39,13 @@ class Workspace(ABC):
     setup_every_step : the harness calls `setup` with the whole problem at every step instead of
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
-    opened_again : makes another workspace of the same solver, route, policy and settings.
+    reopen : makes another workspace of the same solver, route, policy and settings.
     """
 
     setup_every_step: bool = False
     matrix_updates: int = 0
     form: Form = "dense"
-    opened_again: Callable[[], Workspace] | None = None
+    reopen: Callable[[], Workspace] | None = None
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
@@ -71,10 +71,10 @@ class Workspace(ABC):
 
         SituationError if this one was not made by `open_workspace`.
         """
-        if self.opened_again is None:
+        if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
-        return self.opened_again()
+        return self.reopen()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
         """Forget every earlier answer; called after a step that was not solved."""
@@ -93,7 +93,7 @@ def check_step(step: QPStep, n: int, m: int) -> None:
             raise ShapeError.of("QPStep", name, array.shape, f"shape {shape}")
 
 
-def words_of(error: BaseException) -> str:
+def describe_exception(error: BaseException) -> str:
     """Describe an exception of a library; raise an interrupt again.
 
     It takes any BaseException: a panic of Rust is no `Exception`.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.solution import Solution, Status, received
+from dpbench.qp.solution import Solution, Status, sanitise_answer
 from dpbench.solvers.contract import Options, Policy, Workspace, check_step, missing_setup_error
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
@@ -40,7 +40,9 @@ class FunctionWorkspace(Workspace):
         try:
             answer = self._function(self._qp, **self._options)
             # `_solution` is None before the call, so an answer None is replaced.
-            self._solution = received(answer, self._qp.n, self._qp.m) if answer is None else answer
+            self._solution = (
+                sanitise_answer(answer, self._qp.n, self._qp.m) if answer is None else answer
+            )
         except MemoryError:
             raise
         except Exception as error:
@@ -56,7 +58,7 @@ class FunctionWorkspace(Workspace):
         except AttributeError:
             # No solution, or not of arrays.
             assert self._qp is not None, "setup comes first"
-            return received(answer, self._qp.n, self._qp.m)
+            return sanitise_answer(answer, self._qp.n, self._qp.m)
         return Solution(
             answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )

@@ -9,7 +9,7 @@ from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
 from dpbench.solvers.settings import resolve
-from dpbench.solvers.table import check_available, native_adapter, qpsolvers_adapter, record
+from dpbench.solvers.table import check_available, find_record, native_adapter, qpsolvers_adapter
 
 
 def open_workspace(
@@ -38,12 +38,12 @@ def open_workspace(
     SettingsError : unknown name, or a key or value that the library does not accept.
     SolverUnavailableError : the library is missing or fails to import.
     """
-    row = record(solver)
+    row = find_record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)
     make = partial(_make_workspace, row, route, policy, settings, step_limit_s)
     workspace = make()
-    workspace.opened_again = make
+    workspace.reopen = make
     return workspace
 
 

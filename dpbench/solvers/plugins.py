@@ -30,7 +30,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
-from dpbench.errors import InputError, renamed
+from dpbench.errors import InputError, warn_renamed
 from dpbench.files.writing import is_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import Form, Options, Policy, Workspace
@@ -271,7 +271,7 @@ def _register(
 def _levels_of(where: str, module: Any, record: SolverRecord) -> Levels:
     """Return its tolerance levels, also by their old name."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
-        renamed(where, "LADDER", "LEVELS")
+        warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 

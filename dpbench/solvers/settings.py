@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dpbench.errors import SettingsError, one_of
+from dpbench.errors import SettingsError, list_allowed
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 
-def settings_matter(solver: str) -> bool:
+def has_tolerance_levels(solver: str) -> bool:
     """Return whether the tolerance levels of a solver differ."""
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
@@ -44,10 +44,10 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
 
 def setting_names(solver: str) -> tuple[str, ...]:
     """List the names of settings of a solver: the tolerance levels and its own."""
-    return tuple(dict.fromkeys((*LEVELS, *record(solver).levels)))
+    return tuple(dict.fromkeys((*LEVELS, *find_record(solver).levels)))
 
 
-def tolerance_of(name: str) -> float | None:
+def parse_tolerance(name: str) -> float | None:
     """Parse the tolerance of a setting such as "1e-4"; None for other names."""
     try:
         tolerance = float(name)
@@ -67,10 +67,10 @@ def _options_at_tolerance(solver: str, name: str) -> Options | None:
     Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
     `mid`.
     """
-    tolerance, levels = tolerance_of(name), record(solver).levels
+    tolerance, levels = parse_tolerance(name), find_record(solver).levels
     if tolerance is None:
         return None
-    if not settings_matter(solver):
+    if not has_tolerance_levels(solver):
         return levels.get(DEFAULT, {})
     mid = levels[MID]
     keys = [k for k in mid if all(levels[at].get(k) == eps for at, eps in TOLERANCES.items())]
@@ -83,7 +83,7 @@ def level_options(name: str, solver: str) -> Options:
     if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
         raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
-    return record(solver).levels.get(name, {}) if options is None else options
+    return find_record(solver).levels.get(name, {}) if options is None else options
 
 
 def describe_levels(solver: str) -> str:
@@ -91,7 +91,7 @@ def describe_levels(solver: str) -> str:
     lines = []
     for name in setting_names(solver):
         text = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
-        if not text and (name == DEFAULT or settings_matter(solver)):
+        if not text and (name == DEFAULT or has_tolerance_levels(solver)):
             text = "the library's defaults"
         lines.append(f"{name}: {text or 'as default: it has no tolerance to set'}")
     return "\n".join(lines)
@@ -107,7 +107,7 @@ def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[s
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
             if key not in known:
-                allowed = one_of(key, known) if known else "no settings"
+                allowed = list_allowed(key, known) if known else "no settings"
                 raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
 
 

@@ -12,11 +12,11 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
 
-from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, one_of
+from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, list_allowed
 from dpbench.solvers import plugins
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_found
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.contract import words_of
+from dpbench.solvers.contract import describe_exception
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.record import (
@@ -69,7 +69,7 @@ def solver_names() -> tuple[str, ...]:
     return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
 
 
-def record(name: str) -> SolverRecord:
+def find_record(name: str) -> SolverRecord:
     """Look up a solver: of the table, a calibration workload, a plug-in, or one of qpsolvers alone.
 
     Raises
@@ -85,7 +85,9 @@ def record(name: str) -> SolverRecord:
         return plugin.record
     if _is_served(name):
         return _generic_adapter(name).record
-    raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names(), listing=LISTING))
+    raise UnknownNameError(
+        "solver", "", repr(name), list_allowed(name, solver_names(), listing=LISTING)
+    )
 
 
 def native_adapter(name: str) -> NativeAdapter:
@@ -164,13 +166,13 @@ def _version(distribution: str) -> str:
     return metadata.version(distribution)
 
 
-def available(name: str, *, imported: bool = True) -> Availability:
+def check_availability(name: str, *, imported: bool = True) -> Availability:
     """Return whether the library of a solver is installed and can be imported.
 
     A library is not available whatever error it raises while it is imported. Without importing it
     (`imported=False`) its build is not read.
     """
-    row = record(name)
+    row = find_record(name)
     if row.extra == "own":
         return Availability(True, _version("dpbench"))
     if row.extra == "qpsolvers":
@@ -191,14 +193,14 @@ def available(name: str, *, imported: bool = True) -> Availability:
             importlib.import_module(row.module)
             build = row.build()
     except BaseException as error:
-        reason = f"importing {row.module} failed: {words_of(error)}"
+        reason = f"importing {row.module} failed: {describe_exception(error)}"
         return Availability(False, version, " ".join(reason.split()))
     return Availability(True, version, build=build)
 
 
 def check_available(name: str) -> None:
     """Raise SolverUnavailableError, with the remedy, where a solver cannot be used."""
-    here, remedy = available(name), record(name).remedy
+    here, remedy = check_availability(name), find_record(name).remedy
     if not here.ok:
         advice = "" if remedy in here.reason else f"; {remedy}"
         raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
@@ -227,7 +229,7 @@ def isolate(*solvers: str) -> None:
     UnknownNameError : there is no such solver.
     DpbenchError : qpsolvers was imported before, so it is too late.
     """
-    rows = [record(solver) for solver in solvers]
+    rows = [find_record(solver) for solver in solvers]
     if "qpsolvers" in sys.modules:
         raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
     used = {module for row in rows for module in (row.module, *row.needs_modules)}

@@ -17,20 +17,20 @@ from dpbench.analysis.statistics import (
     adjust_holm,
     estimate_mean,
     is_rounding,
-    none_of,
     paired_ratio,
     percentile_interval,
     pooled_mean,
     resampled_error,
+    upper_bound_of_none,
 )
-from dpbench.bench.judge.rules import percentile, supports
+from dpbench.bench.judge.rules import percentile, supports_percentile
 
 
 @pytest.mark.parametrize(("percent", "enough"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, enough: int) -> None:
     """A percentile is refused with fewer than ten samples beyond it and given from there on."""
-    assert supports(enough, percent)
-    assert not supports(enough - 1, percent)
+    assert supports_percentile(enough, percent)
+    assert not supports_percentile(enough - 1, percent)
     assert np.isnan(percentile(np.ones(enough - 1), percent))
     assert percentile(np.ones(enough), percent) == 1.0
 
@@ -171,7 +171,7 @@ def test_nothing_is_claimed_of_a_mean_without_an_error() -> None:
 
 def test_none_of_a_few_bounds_little() -> None:
     """3/R, at most 1: of thirty draws without a loss up to a tenth may be lost."""
-    assert [none_of(count) for count in (0, 2, 3, 30)] == [1.0, 1.0, 1.0, 0.1]
+    assert [upper_bound_of_none(count) for count in (0, 2, 3, 30)] == [1.0, 1.0, 1.0, 0.1]
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_adjusted_p_values_rise_in_their_order_up_to_one() -> None:
 @pytest.mark.parametrize(("count", "share"), [(0.5, 1.0), (1, 1.0), (4, 0.75), (6, 0.5)])
 def test_the_rule_of_three(count: float, share: float) -> None:
     """Three over the count, at most one."""
-    assert none_of(count) == share
+    assert upper_bound_of_none(count) == share
 
 
 def _in_turn(parts: int, each: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from dpbench import load_scenario, record_sequence
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
@@ -60,7 +60,7 @@ def test_both_kernels_are_timed_around_every_round() -> None:
     sequence = record_sequence(load_scenario("paper").first(3))
     now = iter(range(10**9))
     log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-    made, formulated = in_replay("condensed_box", sequence)
+    made, formulated = replay_formulation("condensed_box", sequence)
     timed_solver = TimedSolver(open_calibration(NO_OP), formulated, lambda: next(now))
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
@@ -79,7 +79,7 @@ def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
 
     def configuration_of(limit_ns: int) -> Iterator[bool]:
         log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-        made, formulated = in_replay("condensed_box", sequence)
+        made, formulated = replay_formulation("condensed_box", sequence)
         timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
         configuration = ReplayRun(
             made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0

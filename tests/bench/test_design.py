@@ -38,7 +38,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import Scenario, condense, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, condense
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def designs(out: Path) -> Designs:
 def still() -> Scenario:
     """Trials of the paper's controller in still water."""
     files = plan_designs(TABLE)[0].files
-    return scenario_of(files | {"scenario": files["scenario"] | {"environment": {}}})
+    return build_scenario(files | {"scenario": files["scenario"] | {"environment": {}}})
 
 
 def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: Scenario) -> None:
@@ -127,7 +127,7 @@ def test_a_step_without_a_certified_optimum_does_not_count_as_held(
 
 def test_a_model_ship_is_tried_on_its_own_scale() -> None:
     files = plan_designs(DesignTable(controllers=["paper"], vessels=["cybership2"]))[0].files
-    scenario = scenario_of(files)
+    scenario = build_scenario(files)
     assert scenario.steps == 2000
     assert is_held(scenario, 1.0) and not is_held(scenario, 1.25)
 
@@ -196,7 +196,7 @@ def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
     table = DesignTable(controllers=["coarse.toml"], vessels=["mine.toml"])
     (design,) = plan_designs(table, tmp_path)
     assert (design.controller, design.vessel) == ("coarse", "mine")
-    scenario = scenario_of(design.files)
+    scenario = build_scenario(design.files)
     assert (scenario.sample_s, scenario.steps, scenario.controller.tuning) == (0.6, 1000, "robust")
 
 

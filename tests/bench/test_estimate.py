@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench.estimate import JUDGE_STEP_S, STATED, Rates, estimate_cells, read_rates
+from dpbench.bench.estimate import JUDGE_STEP_S, STATED_RATES, Rates, estimate_cells, read_rates
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import CapabilitySource, Cell
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
 from tests.bench.deterministic import head
@@ -39,7 +39,7 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 def test_what_does_not_run_takes_nothing() -> None:
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
-    found = estimate_cells([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED)
+    found = estimate_cells([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED_RATES)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 
@@ -82,13 +82,15 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert len(found.steps_s) == 3
     took_s = runs[runs["mode"] == "closed_loop"]["replay_s"].sum()
     (kind,) = (kind for kind in found.steps_s if kind[0] == "closed_loop")
-    assert kind == tuple(runs.loc[runs["mode"] == "closed_loop", ["mode", *COLUMNS]].iloc[0])
+    assert kind == tuple(
+        runs.loc[runs["mode"] == "closed_loop", ["mode", *CONFIGURATION_COLUMNS]].iloc[0]
+    )
     assert found.steps_s[kind] == pytest.approx(took_s / (40 * 12))
     size = Path("mine/steps.parquet").stat().st_size
     assert found.step_bytes == pytest.approx(size / len(load_results("mine").steps))
 
 
 def test_without_a_folder_rates_are_stated(tmp_path: Path) -> None:
-    assert read_rates(tmp_path) == read_rates(tmp_path / "none") == STATED
+    assert read_rates(tmp_path) == read_rates(tmp_path / "none") == STATED_RATES
     (tmp_path / "runs.parquet").write_bytes(b"no table")
-    assert read_rates(tmp_path) == STATED
+    assert read_rates(tmp_path) == STATED_RATES

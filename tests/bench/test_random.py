@@ -11,7 +11,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
-from dpbench.bench.plan.cells import NOT_STRICT
+from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
 from dpbench.bench.record.result_folder import Results
@@ -85,17 +85,17 @@ def test_sound_solvers_have_no_false_claim(results: Results) -> None:
     for solver in ("quadprog", "daqp"):
         tally = claims.by("solver")[(solver,)]
         assert tally.wrong == 0 and tally.nothing == 0
-        assert tally.steps == tally.told + tally.empty_right
-    assert claims.by("solver", "family")["daqp", "infeasible_steps"].empty_right == 2 * 2
+        assert tally.steps == tally.told + tally.right_refusals
+    assert claims.by("solver", "family")["daqp", "infeasible_steps"].right_refusals == 2 * 2
 
 
 def test_every_step_is_counted_once(results: Results) -> None:
     tally = RandomClaims(Records(results)).by("solver")[("faulty",)]
-    seen = tally.told + tally.lies + tally.silent + tally.empty_right + tally.empty_wrong
+    seen = tally.told + tally.lies + tally.silent + tally.right_refusals + tally.wrong_refusals
     assert tally.steps == seen + tally.nothing
     assert tally.steps + tally.missed == 7 * STEPS
     # n = 4 without rows, and all six steps of the sequence with infeasible ones: also n = 4.
-    assert (tally.lies, tally.empty_wrong) == (2 * STEPS, STEPS)
+    assert (tally.lies, tally.wrong_refusals) == (2 * STEPS, STEPS)
 
 
 def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:
@@ -132,7 +132,10 @@ def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_a_semidefinite_one() -> None:
     planned = plan(suite(random=[RandomTable(families=["semidefinite"], sizes=[[4, 6]])]))
-    assert {p.cell.solver: p.refused for p in planned} == {"quadprog": NOT_STRICT, "daqp": ""}
+    assert {p.cell.solver: p.refused for p in planned} == {
+        "quadprog": SEMIDEFINITE_REFUSAL,
+        "daqp": "",
+    }
 
 
 def test_an_impossible_recipe_of_a_suite_is_refused_before_anything_runs(tmp_path: Path) -> None:

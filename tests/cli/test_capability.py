@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.capability import study
-from dpbench.bench.capability.frontier import Held
+from dpbench.bench.capability.frontier import WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.cli.capability import table_lines
@@ -60,7 +60,7 @@ def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixtu
 def test_many_groups_are_told_by_the_worst() -> None:
     """Six cases do not fit beside each other."""
     held = {
-        case: tuple(Held(20.0 - i, 7) for _ in FROM_DEG)
+        case: tuple(WindLimit(20.0 - i, 7) for _ in FROM_DEG)
         for i, case in enumerate(["intact", *"abcde"])
     }
     capability = Capability("osv", None, held, dict.fromkeys(held, ()), ())
@@ -73,10 +73,10 @@ def test_many_groups_are_told_by_the_worst() -> None:
 def test_the_notation_is_that_of_the_standard() -> None:
     """Least numbers: within 30° of the bow and all round, intact and after the worst failure."""
     numbers = [5 if from_deg == 90.0 else 7 + (from_deg > 180.0) for from_deg in FROM_DEG]
-    intact = tuple(Held(10.0 + n, n) for n in numbers)
+    intact = tuple(WindLimit(10.0 + n, n) for n in numbers)
     failures = {
-        "a": tuple(Held(held.wind_mps - 2.0, held.number - 1) for held in intact),
-        "b": tuple(Held(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
+        "a": tuple(WindLimit(held.wind_mps - 2.0, held.number - 1) for held in intact),
+        "b": tuple(WindLimit(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
     }
     capability = Capability("some", None, {"intact": intact, **failures}, {}, ())
     assert capability.numbers == (7, 5, 4, 4)
@@ -130,7 +130,7 @@ def test_a_solver_that_is_not_installed_is_named(
 ) -> None:
     """Before anything is computed, with what mends it."""
     missing = Availability(False, reason="not installed")
-    monkeypatch.setattr(table, "available", lambda solver: missing)
+    monkeypatch.setattr(table, "check_availability", lambda solver: missing)
     assert main(["capability", "osv", "--solver", "quadprog"]) == 2
     assert "solver quadprog: not installed; pip install quadprog\n" in capsys.readouterr().err
     assert list(Path().iterdir()) == []

@@ -14,20 +14,20 @@ import pytest
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.engines.shards import ShardRecord
-from dpbench.bench.record.npz import kept
+from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
 from dpbench.bench.sequences.qpsolvers_files import read_problem
-from dpbench.bench.sequences.recording import digest
+from dpbench.bench.sequences.recording import source_digest
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError
-from dpbench.files.opening import opened, read_bytes
+from dpbench.files.opening import open_regular_file, read_bytes
 from dpbench.scenario.hull_files import read_mss, read_table
 from dpbench.scenario.problem_files import read_toml
 
 
 def _kept(path: Path) -> None:
-    with kept(path):
+    with open_arrays(path):
         pass
 
 
@@ -37,7 +37,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "hull.mat": read_mss,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
-    "digest.npz": digest,
+    "digest.npz": source_digest,
     "kept.npz": _kept,
     "suite.json": read_json,
     "machine.json": lambda path: load_descriptions(path.parent),
@@ -105,8 +105,8 @@ def test_nothing_stays_open(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"abc")
     os.mkfifo(tmp_path / "fifo")
     before = os.listdir("/proc/self/fd")
-    with opened(tmp_path / "file") as file:
+    with open_regular_file(tmp_path / "file") as file:
         assert file.read() == b"abc"
-    with pytest.raises(InputError, match="a FIFO"), opened(tmp_path / "fifo"):
+    with pytest.raises(InputError, match="a FIFO"), open_regular_file(tmp_path / "fifo"):
         raise AssertionError
     assert os.listdir("/proc/self/fd") == before

@@ -14,9 +14,9 @@ from dpbench.files.writing import (
     list_path,
     make_folder,
     new_file,
-    put,
-    replaced,
-    write_given,
+    replace_durably,
+    replace_file,
+    write_named_file,
     write_text,
     write_together,
 )
@@ -59,7 +59,7 @@ def test_a_folder_that_is_a_link_is_refused(tmp_path: Path) -> None:
 
 def test_what_fails_leaves_the_old_file(tmp_path: Path) -> None:
     write_text(tmp_path / "a", "old")
-    with pytest.raises(ZeroDivisionError), replaced(tmp_path / "a"):
+    with pytest.raises(ZeroDivisionError), replace_file(tmp_path / "a"):
         raise ZeroDivisionError
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
@@ -111,12 +111,12 @@ def test_a_device_that_a_person_names_is_written_to(tmp_path: Path) -> None:
     pipe, read = tmp_path / "pipe", []
     os.mkfifo(pipe)
     end = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    write_given(pipe, b"text")
+    write_named_file(pipe, b"text")
     read.append(os.read(end, 9))
     os.close(end)
     assert read == [b"text"] and pipe.is_fifo()
     other = _linked(tmp_path, "soft", tmp_path / "comparison.md")
-    write_given(tmp_path / "comparison.md", b"new")
+    write_named_file(tmp_path / "comparison.md", b"new")
     assert other.read_text("utf-8") == "mine"
 
 
@@ -132,5 +132,5 @@ def test_what_is_put_in_its_place_is_on_the_disk(
         fsync(number)
 
     monkeypatch.setattr(os, "fsync", watched)
-    put(part, tmp_path / "a")
+    replace_durably(part, tmp_path / "a")
     assert synced == [(str(part), False), (str(tmp_path), True)]

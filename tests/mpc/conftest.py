@@ -13,7 +13,7 @@ import quadprog
 from numpy.typing import NDArray
 
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.model import StateSpace, augment, prediction_model
+from dpbench.mpc.model import StateSpace, augment, build_prediction_model
 from dpbench.qp.program import QuadraticProgram
 from dpbench.scenario.scenario import load_vessel
 
@@ -95,7 +95,7 @@ def ship_problem(
     """A vessel of the collection under tuning `paper`, or `robust`, in its own scale."""
     ship = load_vessel(name)
     du_max = ship.step_max(sample_of(name))
-    model = prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
+    model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
     Q = np.diag([1.0, 1.0, 3000.0 if robust else 100.0])
     R = np.diag(0.1 / du_max**2) if robust else np.diag([1e-10, 1e-10, 1e-14])
     if name == "cybership2":

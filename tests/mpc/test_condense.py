@@ -11,7 +11,7 @@ import pytest
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condense import (
     ControlProblem,
-    affine_map,
+    build_affine_map,
     condense_matrices,
     scaled_rows,
     summed_rows,
@@ -195,7 +195,7 @@ def test_the_affine_map_by_hand(units: Any, unit: tuple[float, float]) -> None:
     """q of θ = [x; y_ref; f; 1] in the units of the moves, l and u in those of the rows."""
     W = np.diag([2.0, 5.0])
     problem = replace(small_thrusters(), W=W)
-    Z = affine_map(problem, condense_matrices(problem), units)
+    Z = build_affine_map(problem, condense_matrices(problem), units)
     row = np.array([1.0, 1.0]) if units == "si" else np.array([np.sqrt(73.0), 10.0])
     linear = np.array([3.0, 6.0, 2.0, 4.0])
     of_force = [[4.0, 0.0], [0.0, 10.0], [2.0, 0.0], [0.0, 5.0]]

@@ -11,8 +11,8 @@ import pytest
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.law import closed_loop, closed_loop_eigenvalues, gains, unconstrained_plan
-from dpbench.mpc.model import StateSpace, augment, prediction_model
+from dpbench.mpc.law import closed_loop, compute_closed_loop_eigenvalues, gains, unconstrained_plan
+from dpbench.mpc.model import StateSpace, augment, build_prediction_model
 from dpbench.qp.stacked import stack
 from dpbench.scenario.scenario import load_vessel
 from tests.mpc.conftest import VESSELS, sample_of
@@ -73,7 +73,7 @@ def test_the_unconstrained_loop_is_stable(
     """Both tunings keep all eigenvalues of eq."""
     problem = ship("supply_fs99", robust=robust, **HORIZONS[robust])
     model, law = problem.model, gains(problem)
-    roots = closed_loop_eigenvalues(model, law)
+    roots = compute_closed_loop_eigenvalues(model, law)
     target = np.zeros((problem.N_p, 3))
     columns = []
     for unit in np.eye(9):
@@ -127,7 +127,7 @@ def test_constrained_plan_is_the_unconstrained_one_less_the_correction(
 def test_every_ship_is_controllable(name: str, psi0_rad: float) -> None:
     """The nine states of the incremental model are controllable for all vessels and headings."""
     ship = load_vessel(name)
-    model = prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
+    model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
     # The Hautus test, eigenvalue by eigenvalue; all are 0.6 … 1 here, and rows are scaled because
     # positions and rates differ in size.
     for root in np.linalg.eigvals(model.A):

@@ -15,13 +15,13 @@ from dpbench.errors import ShapeError
 from dpbench.mpc.model import (
     StateSpace,
     augment,
+    build_prediction_model,
     discretise,
     linearise,
-    prediction_model,
     rotate_model,
     rotation,
 )
-from dpbench.mpc.reference import ReferenceFilter, nearest_pose, reference_table
+from dpbench.mpc.reference import ReferenceFilter, build_reference_table, unwrap_pose
 from dpbench.scenario.scenario import load_vessel
 from tests.mpc.conftest import VESSELS, sample_of
 
@@ -84,7 +84,7 @@ def test_incremental_model_equals_the_whole_one_under_a_constant_disturbance(
     """Driven by Δu, eq. 11 gives the outputs of eq. 9 driven by u + w, for any constant w."""
     ship, sample_s = load_vessel(name), sample_of(name)
     discrete = discretise(linearise(ship.M, ship.D, psi0_rad), sample_s)
-    model = prediction_model(ship.M, ship.D, psi0_rad, sample_s)
+    model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_s)
     rng = np.random.default_rng(5)
     w, u = 0.3 * ship.tau_max, 0.2 * ship.tau_min
     before = np.concatenate([0.1 * rng.normal(size=3), rng.normal(size=3)])
@@ -134,8 +134,10 @@ def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
 ) -> None:
     """Turning the discretised model from ψ0 to ψ gives what the matrix exponential gives at ψ."""
     ship, sample_s = load_vessel(name), sample_of(name)
-    found = rotate_model(prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad)
-    expected = prediction_model(ship.M, ship.D, psi_rad, sample_s)
+    found = rotate_model(
+        build_prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad
+    )
+    expected = build_prediction_model(ship.M, ship.D, psi_rad, sample_s)
     # Entries of A are 1 at most; those of B are compared in what a rate-limit step does.
     step = ship.step_max(sample_s)
     np.testing.assert_allclose(found.A, expected.A, rtol=0, atol=1e-12)
@@ -147,7 +149,7 @@ START, GOAL = np.array([1.0, -2.0, 0.1]), np.array([21.0, 13.0, 0.6])
 
 
 def test_a_set_point_is_there_from_the_first_sample() -> None:
-    np.testing.assert_array_equal(reference_table(START, GOAL, 5, 0.3), np.tile(GOAL, (5, 1)))
+    np.testing.assert_array_equal(build_reference_table(START, GOAL, 5, 0.3), np.tile(GOAL, (5, 1)))
 
 
 @pytest.mark.parametrize("damping", [0.7, 1.0])
@@ -158,13 +160,13 @@ def test_the_filter_is_the_third_order_transfer_function(damping: float) -> None
     middle = 2 * damping + 1
     system = lti([omega**3], [1.0, middle * omega, middle * omega**2, omega**3])
     _, rise = step(system, T=np.arange(samples) * sample_s)
-    table = reference_table(START, GOAL, samples, sample_s, ReferenceFilter(period, damping))
+    table = build_reference_table(START, GOAL, samples, sample_s, ReferenceFilter(period, damping))
     expected = START + np.multiply.outer(rise, GOAL - START)
     np.testing.assert_allclose(table, expected, rtol=0, atol=1e-9)
 
 
 def test_the_filter_starts_at_rest_and_arrives() -> None:
-    table = reference_table(START, GOAL, 2000, 0.3, ReferenceFilter(40.0))
+    table = build_reference_table(START, GOAL, 2000, 0.3, ReferenceFilter(40.0))
     np.testing.assert_allclose(table[0], START, rtol=0, atol=1e-15)
     # ω³t³/6 of 20 m at t = 0.3 s is 3.5e-4 m.
     assert np.abs(table[1] - START).max() < 4e-4
@@ -174,7 +176,7 @@ def test_the_filter_starts_at_rest_and_arrives() -> None:
 def test_heading_goes_the_short_way() -> None:
     """A goal at -175° seen from 175° is at 185°, filtered or not."""
     start, goal = np.array([0.0, 0.0, np.radians(175)]), np.array([0.0, 0.0, np.radians(-175)])
-    assert np.degrees(nearest_pose(goal, start)[2]) == pytest.approx(185.0)
-    heading = np.degrees(reference_table(start, goal, 100, 0.3, ReferenceFilter(20.0))[:, 2])
+    assert np.degrees(unwrap_pose(goal, start)[2]) == pytest.approx(185.0)
+    heading = np.degrees(build_reference_table(start, goal, 100, 0.3, ReferenceFilter(20.0))[:, 2])
     assert heading.min() >= 175.0 - 1e-9
     assert heading.max() <= 185.0 + 1e-9

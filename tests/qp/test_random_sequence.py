@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
-from dpbench.qp.random_sequence import Planted, planted, random_sequence
+from dpbench.qp.random_sequence import Planted, plant_sequence, random_sequence
 from dpbench.qp.referee.referee import Referee
 
 INF = np.inf
@@ -58,7 +58,7 @@ def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(
     family: str, n: int, m: int, steps: int
 ) -> None:
     """In rational arithmetic, also with 120 variables and 300 rows."""
-    found = planted(recipe(family, n, m, steps=steps))
+    found = plant_sequence(recipe(family, n, m, steps=steps))
     for k in np.flatnonzero(found.feasible):
         C, L, U, y = (exact(array) for array in joint(found, int(k)))
         z, q = exact(found.z[k]), exact(found.sequence.q[k])
@@ -71,7 +71,7 @@ def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(
 @pytest.mark.parametrize(("n", "m"), [(2, 4), (12, 30), (30, 60)])
 def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> None:
     steps = 6 if n == 30 else 24
-    found = planted(recipe(family, n, m, seed=3, steps=steps))
+    found = plant_sequence(recipe(family, n, m, seed=3, steps=steps))
     base, sequence = found.sequence.base, found.sequence
     referee = Referee(base.P, base.A, base.lb, base.ub)
     for k in range(steps):
@@ -85,7 +85,7 @@ def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> 
 
 def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
     """Every third step would need limits moved by 1/40 at least; the planted vector proves it."""
-    found = planted(recipe("infeasible_steps", seed=4))
+    found = plant_sequence(recipe("infeasible_steps", seed=4))
     assert (~found.feasible).tolist() == [k % 3 == 2 for k in range(24)]
     for k in np.flatnonzero(~found.feasible):
         C, L, U, y = joint(found, int(k))
@@ -106,7 +106,7 @@ def _met(found: Planted, k: int) -> np.ndarray:
 
 
 def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None:
-    found = planted(recipe("degenerate"))
+    found = plant_sequence(recipe("degenerate"))
     A = found.sequence.base.A
     copies = [(i, j) for i in range(30) for j in range(i) if (np.abs(A[i]) == np.abs(A[j])).all()]
     assert copies
@@ -117,7 +117,7 @@ def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None
 
 def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> None:
     """On every step some limit is met with a zero multiplier; others are missed by 2⁻²⁶."""
-    found = planted(recipe("weakly_active"))
+    found = plant_sequence(recipe("weakly_active"))
     near = 0
     for k in range(24):
         C, L, U, y = joint(found, k)
@@ -129,7 +129,7 @@ def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> No
 
 def test_plain_problems_are_strictly_complementary() -> None:
     """Every limit that is met has a multiplier, and every other one a slack of 1/50 at least."""
-    found = planted(recipe("plain"))
+    found = plant_sequence(recipe("plain"))
     for k in range(24):
         C, L, U, y = joint(found, k)
         value = C @ found.z[k]
@@ -167,7 +167,7 @@ def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> None:
     """Norms are 1 to 1e-4, the grid of A; between most steps a third of the limits met stays."""
-    found = planted(recipe(family))
+    found = plant_sequence(recipe(family))
     norms = np.linalg.norm(found.sequence.base.A, axis=1)
     np.testing.assert_allclose(norms, 1.0, atol=1e-4)
     active = np.hstack((found.y, found.y_box)) != 0.0

@@ -11,7 +11,7 @@ import pytest
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.report.report import Report
-from dpbench.report.write import report_and_ending
+from dpbench.report.write import write_report_with_summary
 from tests.conftest import MadeRecords
 
 HEIGHTS, OFFSETS, SEAS = (1.0, 2.0, 3.5), (0.0, 3.0), 4
@@ -24,7 +24,7 @@ class Written:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.page, self.lines = report_and_ending(folder, figures=("pdf",))
+        self.page, self.lines = write_report_with_summary(folder, figures=("pdf",))
         self.markdown = (folder / "report.md").read_text(encoding="utf-8")
         self.html = self.page.read_text(encoding="utf-8")
         self.results: Results = load_results(folder)

@@ -16,7 +16,7 @@ from dpbench.analysis.compare.answers import DONE, Answer
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
-from dpbench.analysis.suites.study import studies
+from dpbench.analysis.suites.study import find_studies
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import State as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
@@ -151,7 +151,7 @@ def test_every_head_of_a_consequence_analysis_is_explained() -> None:
 
 @pytest.mark.slow
 def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
-    topic = study_topic(studies(of_seas(records).view()))
+    topic = study_topic(find_studies(of_seas(records).view()))
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
     assert {*heads, *thruster_row("", [], {}, Requirements())} <= _spoken()

@@ -14,7 +14,7 @@ import pytest
 
 from dpbench.scenario.own_ship import scale_matrices
 from dpbench.scenario.problem_files import problem_names
-from dpbench.scenario.scenario import condense, load_scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import build_scenario, condense, load_scenario, load_vessel
 
 FULL_LIMITS = (
     [-980e3, -417e3, -18e6],
@@ -183,7 +183,7 @@ def test_condensed_sizes_are_those_of_the_paper() -> None:
 def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
     """The documents of a scenario survive JSON and make the same run again."""
     scenario = load_scenario(name)
-    again = scenario_of(json.loads(json.dumps(scenario.files)))
+    again = build_scenario(json.loads(json.dumps(scenario.files)))
     assert (again.name, again.steps, again.vessel.id) == (name, scenario.steps, scenario.vessel.id)
     first, second = condense(scenario), condense(again)
     np.testing.assert_array_equal(first.P, second.P)

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.scenario.problem_files import problem_names, problems_root
-from dpbench.scenario.scenario import load_scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import build_scenario, load_scenario, load_vessel
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_start_under_way_is_in_SI_and_scales_with_the_ship(
     np.testing.assert_allclose(model.velocity[:2], ship.velocity[:2] / 70**0.5, rtol=1e-12)
     turn = ship.velocity[2] / ship.velocity[0]
     assert model.velocity[2] / 70 / model.velocity[0] == pytest.approx(turn, rel=1e-12)
-    again = scenario_of(json.loads(json.dumps(ship.files)))
+    again = build_scenario(json.loads(json.dumps(ship.files)))
     np.testing.assert_array_equal(again.velocity, ship.velocity)
 
 
@@ -73,7 +73,7 @@ def test_rest_is_not_written() -> None:
     """Documents of a ship at rest are those of before a start had a speed, and give rest again."""
     files = load_scenario("paper").files
     assert files["scenario"]["start"] == {"north_m": 1.2, "east_m": 1.3, "heading_deg": 0.0}
-    np.testing.assert_array_equal(scenario_of(files).velocity, 0.0)
+    np.testing.assert_array_equal(build_scenario(files).velocity, 0.0)
 
 
 BAD_SCENARIOS = [

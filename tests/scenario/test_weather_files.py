@@ -13,8 +13,8 @@ import pytest
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.errors import DpbenchError
-from dpbench.scenario.controllers.controller import limit_tables
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.ship.estimation.estimator import MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter
 from dpbench.ship.estimation.passive_observer import PassiveObserver
@@ -28,7 +28,7 @@ def changed(name: str, change: Change, vessel: Change | None = None) -> Scenario
     change(files["scenario"])
     if vessel is not None:
         vessel(files["vessel"])
-    return scenario_of(files, "my.toml", "ship.toml")
+    return build_scenario(files, "my.toml", "ship.toml")
 
 
 def test_sailors_name_wind_and_waves_by_where_they_come_from() -> None:
@@ -62,7 +62,7 @@ def test_an_estimator_starts_where_the_ship_starts() -> None:
 def test_limits_change_at_the_sample_of_the_fault() -> None:
     """Until 121 s the vessel's limits hold, from then on the share the file says."""
     scenario = load_scenario("thruster_loss")
-    low, high = limit_tables(scenario.controller.limits(scenario.steps))
+    low, high = stack_limits(scenario.controller.limits(scenario.steps))
     k = round(121.0 / 0.3)
     np.testing.assert_array_equal(high[k - 1], scenario.vessel.tau_max)
     np.testing.assert_allclose(high[k], [1240e3, 187.65e3, 10.8e6], rtol=1e-12)

@@ -18,8 +18,8 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.recorded_steps import ALL
-from dpbench.bench.record.result_folder import accidents, load_results
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS
+from dpbench.bench.record.result_folder import load_results, read_accidents
 from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import stored_rules
@@ -137,8 +137,8 @@ class Results(Soaked):
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         results = load_results(folder)
         designs, plots = load_designs(folder), load_capability(folder)
-        accidents(folder)
-        for table in results.recorded.scan(ALL):
+        read_accidents(folder)
+        for table in results.recorded.scan(ALL_COLUMNS):
             len(table)
         if rng.random() < REPORTED:
             _ = Report.of(results, designs, None, plots).figures

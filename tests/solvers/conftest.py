@@ -17,7 +17,7 @@ from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import Family, RouteRecord
 from dpbench.solvers.settings import level_options
-from dpbench.solvers.table import TABLE, available
+from dpbench.solvers.table import TABLE, check_availability
 
 INF = np.inf
 
@@ -80,7 +80,7 @@ class Configuration(NamedTuple):
 
 
 # The baseline law solves another problem and has tests of its own.
-INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and available(n).ok]
+INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and check_availability(n).ok]
 ARMS = [
     Configuration(name, route, policy)
     for name in INSTALLED

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.solvers.libraries.hpipm import read_blasfeo_build
 from dpbench.solvers.record import Build, vectorised_build
-from dpbench.solvers.table import Availability, available
+from dpbench.solvers.table import Availability, check_availability
 
 AVX2, FMA = 0x2, 0x4
 
@@ -43,14 +43,14 @@ def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     assert read_blasfeo_build(library) == build
 
 
-@pytest.mark.skipif(not available("hpipm").ok, reason="casadi is not installed")
+@pytest.mark.skipif(not check_availability("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
 def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     """The library says generic exactly where the header it was installed with has that target."""
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
-    assert available(solver).build.generic is target
-    assert not available("qpoases").build.generic
+    assert check_availability(solver).build.generic is target
+    assert not check_availability("qpoases").build.generic
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: s
 )
 def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str) -> None:
     """What is said is compiled into the one file of the library that this process has mapped."""
-    text = available(solver).build.text
+    text = check_availability(solver).build.text
     end = {"AVX-512": "_avx512", "AVX2": "_avx2", "no AVX": ""}[text]
     maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     mapped = {Path(line.split()[-1]).name for line in maps.splitlines()}

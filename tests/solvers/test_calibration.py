@@ -11,7 +11,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, BusyWait, CopyOnly
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import load_solver_module, record, solver_names
+from dpbench.solvers.table import find_record, load_solver_module, solver_names
 from tests.solvers.conftest import solve_next
 
 
@@ -26,9 +26,9 @@ def qp() -> QuadraticProgram:
 def test_they_have_names_but_are_no_solvers() -> None:
     """Each is found by its name and listed nowhere; another name is unknown all the same."""
     assert not set(CALIBRATION) & set(solver_names())
-    assert all(record(name).name == name for name in CALIBRATION)
+    assert all(find_record(name).name == name for name in CALIBRATION)
     with pytest.raises(UnknownNameError):
-        record("busy_wait_30us")
+        find_record("busy_wait_30us")
 
 
 def test_no_plug_in_takes_their_name(tmp_path) -> None:

@@ -13,8 +13,8 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import describe_levels, settings_matter
-from dpbench.solvers.table import available, load_solver_module, record, solver_names
+from dpbench.solvers.settings import describe_levels, has_tolerance_levels
+from dpbench.solvers.table import check_availability, find_record, load_solver_module, solver_names
 from tests.solvers.conftest import solve_qp
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
@@ -39,7 +39,7 @@ def test_a_file_adds_a_solver(sequence):
     """The example file is a solver: listed, available, opened by name and right."""
     row = load_solver_module(EXAMPLE)
     assert (row.name, row.extra) == ("admm", "plugin")
-    assert "admm" in solver_names() and record("admm") is row and available("admm").ok
+    assert "admm" in solver_names() and find_record("admm") is row and check_availability("admm").ok
     workspace = open_workspace("admm", settings="high")
     assert workspace.route == "native" and workspace.setup_every_step
     for step, answer in zip(sequence.steps, sequence.answers(workspace), strict=True):
@@ -55,14 +55,14 @@ def test_a_files_version_is_its_content(tmp_path):
     for text in (TEXT, TEXT, TEXT + "# changed\n"):
         file.write_text(text)
         load_solver_module(file)
-        versions.append(available("admm").version)
+        versions.append(check_availability("admm").version)
     assert versions[0] == versions[1] != versions[2]
 
 
 def test_the_levels_of_a_plugin_reaches_it(sequence):
     """The names of settings mean what the plug-in says, and its own keys pass through."""
     load_solver_module(EXAMPLE)
-    assert settings_matter("admm")
+    assert has_tolerance_levels("admm")
     assert "high: tolerance=1e-09" in describe_levels("admm")
     workspaces = (open_workspace("admm", settings=s) for s in ({"tolerance": 0.1}, "low", "high"))
     few, more, most = (solve_qp(workspace, sequence.base).iterations for workspace in workspaces)
@@ -156,7 +156,7 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert {"admm", "broken"} <= set(solver_names())
-    assert available("admm").version == "2.5"
+    assert check_availability("admm").version == "2.5"
     assert open_workspace("admm").solver == "admm"
     with pytest.raises(InputError, match=r"entry point broken.*nothing"):
         open_workspace("broken")
@@ -168,8 +168,8 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
     inner = qpsolvers.solvers.solve_function["quadprog"]
     monkeypatch.setitem(qpsolvers.solvers.solve_function, "brandnew", inner)
     monkeypatch.setattr(qpsolvers, "available_solvers", [*qpsolvers.available_solvers, "brandnew"])
-    assert record("brandnew").policies == {"qpsolvers": ("fresh",)}
-    assert available("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
+    assert find_record("brandnew").policies == {"qpsolvers": ("fresh",)}
+    assert check_availability("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
     workspace = open_workspace("brandnew")
     answer = solve_qp(workspace, sequence.base)
     assert answer.status is Status.SOLVED
@@ -178,7 +178,7 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
     """A name that qpsolvers has an interface for is known, and why it cannot run is said."""
-    assert not available("gurobi").ok
-    assert "pip install qpsolvers[gurobi]" in available("gurobi").reason
+    assert not check_availability("gurobi").ok
+    assert "pip install qpsolvers[gurobi]" in check_availability("gurobi").reason
     with pytest.raises(UnknownNameError):
-        record("gurobii")
+        find_record("gurobii")

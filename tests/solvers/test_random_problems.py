@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import Planted, planted
+from dpbench.qp.random_sequence import Planted, plant_sequence
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
@@ -58,7 +58,7 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
     for n, m, block in SIZES:
         for seed in SEEDS[policy]:
             rows = 0 if family == "no_rows" else m
-            check(planted(RandomRecipe(family, n, rows, seed, block=block)), policy)
+            check(plant_sequence(RandomRecipe(family, n, rows, seed, block=block)), policy)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
@@ -66,13 +66,13 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
 def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
     """With 120 variables and 300 rows every answer is true at 1e-6 too."""
     rows = 0 if family == "no_rows" else 300
-    check(planted(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
+    check(plant_sequence(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
     """Where P is semidefinite its answers at `high` are right to 1e-5, those at `default` not."""
-    problem = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
+    problem = plant_sequence(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
         pairs = zip(answers(problem, policy, "daqp", settings), problem.z, strict=True)

@@ -11,10 +11,10 @@ from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (
     describe_levels,
+    has_tolerance_levels,
     level_options,
     resolve,
     setting_names,
-    settings_matter,
 )
 from dpbench.solvers.table import TABLE
 from tests.solvers.conftest import solve_qp
@@ -57,12 +57,12 @@ def test_high_is_more_accurate_than_default(installed, sequence):
         for name in ("default", "high")
     )
     # DAQP visits the same active sets at both and is exact at both: rounding may differ.
-    assert high <= default if settings_matter(installed) else high == default
+    assert high <= default if has_tolerance_levels(installed) else high == default
 
 
 def test_settings_matter_where_there_are_levels():
     """Solvers without a tolerance are known as such."""
-    without = {name for name in TABLE if not settings_matter(name)}
+    without = {name for name in TABLE if not has_tolerance_levels(name)}
     own = {"paper_active_set", "unconstrained_clipped"}
     assert without >= {*own, "pyqpmad", "qpoases", "quadprog"}
     assert not without & {"daqp", "hildreth", "osqp", "piqp_sparse"}
@@ -74,7 +74,7 @@ def test_a_stated_tolerance_lies_among_the_levels(solver):
     for level, tolerance in TOLERANCES.items():
         assert level_options(f"{tolerance:g}", solver) == level_options(level, solver)
     between = level_options("2e-5", solver)
-    if settings_matter(solver):
+    if has_tolerance_levels(solver):
         assert 2e-5 in between.values()
         assert between not in [level_options(level, solver) for level in LEVELS]
     else:
@@ -113,7 +113,7 @@ def test_the_levels_are_described_in_words(installed):
     """Each name of a solver's settings has a line with the keys and values that it sets."""
     lines = describe_levels(installed).splitlines()
     assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
-    if settings_matter(installed):
+    if has_tolerance_levels(installed):
         assert "1e-09" in lines[3]
     else:
         assert "no tolerance to set" in lines[3]

@@ -18,10 +18,10 @@ from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import (
     TABLE,
-    available,
+    check_availability,
+    find_record,
     isolate,
     qpsolvers_adapter,
-    record,
     solver_names,
 )
 from tests.solvers.conftest import run_program
@@ -60,11 +60,11 @@ def test_a_distribution_is_declared_where_its_record_says():
 
 def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
     """The name is one of qpsolvers, the version that of the index, the form that of the record."""
-    row = record(installed)
+    row = find_record(installed)
     if "qpsolvers" in row.routes:
         assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
     if row.extra != "own":
-        assert available(installed).version == importlib.metadata.version(row.distribution)
+        assert check_availability(installed).version == importlib.metadata.version(row.distribution)
     assert open_workspace(installed).form == row.form
 
 
@@ -75,8 +75,8 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(table, "_version", missing)
-    assert available("hpipm").reason == "casadi is not installed: pip install casadi"
-    assert available("daqp").reason.endswith("pip install daqp")
+    assert check_availability("hpipm").reason == "casadi is not installed: pip install casadi"
+    assert check_availability("daqp").reason.endswith("pip install daqp")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
         open_workspace("qpax")
 
@@ -87,7 +87,7 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
     (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "daqp", raising=False)
-    daqp = available("daqp")
+    daqp = check_availability("daqp")
     assert not daqp.ok
     assert daqp.reason == f"importing daqp failed: {raised}: no such instruction"
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
 
-KEY = ("mode", "scenario", "sequence", *COLUMNS, "steps_planned")
+KEY = ("mode", "scenario", "sequence", *CONFIGURATION_COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
 LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 
@@ -42,7 +42,7 @@ class Pairs:
     lost: list[str]
 
 
-def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     """List in what two machines differ by their descriptions; nothing for one machine."""
     if a["id"] == b["id"]:
         return []

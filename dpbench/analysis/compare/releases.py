@@ -15,9 +15,9 @@ from dpbench.analysis.compare.answers import ORDER
 from dpbench.analysis.compare.pairs import cell_key, problem_key
 from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
-from dpbench.bench.judge.rules import largest
-from dpbench.errors import InputError, UnknownNameError, one_of
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.bench.judge.rules import largest_known
+from dpbench.errors import InputError, UnknownNameError, list_allowed
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +45,21 @@ class Release:
     @property
     def error_move(self) -> float:
         """The largest error of the first move."""
-        return largest([run.error_move_max for run in self.runs.values()])
+        return largest_known([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
         """Most steps a round of a run that were claimed solved and are not."""
-        return largest([_count_per_round(run, run.claimed_not_true) for run in self.runs.values()])
+        return largest_known(
+            [_count_per_round(run, run.claimed_not_true) for run in self.runs.values()]
+        )
 
     @property
     def failed_steps(self) -> float:
         """Most failed steps a round of a run."""
-        return largest([_count_per_round(run, run.failed_steps) for run in self.runs.values()])
+        return largest_known(
+            [_count_per_round(run, run.failed_steps) for run in self.runs.values()]
+        )
 
     @property
     def outcome(self) -> str:
@@ -113,7 +117,7 @@ class Histories:
     folders: int
 
 
-def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
+def compare_releases(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
     """Return the releases of every configuration and problem that two folders have.
 
     Parameters
@@ -160,7 +164,9 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
     if not known:
         found = repr(asked) if asked else f"none of {', '.join(REFERENCES)} in all folders"
-        allowed = one_of(asked or "", common) if common else "a solver that all folders replayed"
+        allowed = (
+            list_allowed(asked or "", common) if common else "a solver that all folders replayed"
+        )
         raise UnknownNameError("--reference", "", found, allowed)
     return known[0]
 
@@ -190,7 +196,7 @@ def _build_history(
         return f"{run.solver_version} {run.build if builds > 1 else ''}".strip() or "no version"
 
     releases = []
-    for version, of_version in grouped(runs.items(), lambda item: version_of(item[1])).items():
+    for version, of_version in group_by(runs.items(), lambda item: version_of(item[1])).items():
         times = (
             _geometric_mean([_time_in_units(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")

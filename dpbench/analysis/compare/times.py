@@ -22,13 +22,13 @@ from dpbench.analysis.compare.evidence import (
 )
 from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
-from dpbench.bench.judge.rules import median
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import settings_level
-from dpbench.errors import UnknownNameError, one_of
+from dpbench.errors import UnknownNameError, list_allowed
 
 BLOCK_STEPS, LEAST_BLOCKS = 20, 4
 """Length of a block of steps, and how many there must be for their spread to be an error. It leaves
@@ -127,7 +127,7 @@ def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(firsts(filter(None, timings), _evidence_key).values())
+    return list(first_by(filter(None, timings), _evidence_key).values())
 
 
 def _evidence_key(timing: Timing) -> tuple[object, ...]:
@@ -136,7 +136,7 @@ def _evidence_key(timing: Timing) -> tuple[object, ...]:
     return *unnamed.values(), timing.log, timing.own
 
 
-def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
+def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
     """Return why the reference kernel cannot stand for the machine, by sequence; "" if it can.
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
@@ -144,7 +144,7 @@ def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str,
     """
     known = disturbed_sequences(a), disturbed_sequences(b)
     reasons = {}
-    for name, own in grouped(timings, lambda t: t.problem).items():
+    for name, own in group_by(timings, lambda t: t.problem).items():
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
@@ -170,7 +170,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     """
     counts = Counter(t.pair.a.solver for t in timings)
     if asked is not None and asked not in counts:
-        allowed = one_of(asked, sorted(counts)) if counts else "a solver that both replayed"
+        allowed = list_allowed(asked, sorted(counts)) if counts else "a solver that both replayed"
         raise UnknownNameError("--reference", "", repr(asked), allowed)
     known = [name for name in REFERENCES if name in counts]
     most = [name for name, _ in counts.most_common(1)]
@@ -185,7 +185,7 @@ def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
     usual_first = sorted(own, key=lambda i: usual_first_key(runs[i]))
-    usual = firsts(usual_first, lambda i: runs[i].problem)
+    usual = first_by(usual_first, lambda i: runs[i].problem)
     return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
 
 
@@ -227,12 +227,12 @@ def compare_times(
 
     Parameters
     ----------
-    unjudged : see `why_unjudged`; such a sequence has no assessment of what its configurations
-        share, nor of those that have only the reference kernel to be compared with.
+    unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
+        configurations share, nor of those that only the reference kernel is compared with.
     """
     groups = [t.problem for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _kernel_ratios(own) for n, own in grouped(timings, lambda t: t.problem).items()}
+    machines = {n: _kernel_ratios(own) for n, own in group_by(timings, lambda t: t.problem).items()}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
     met = _load_ratios(timings, labels)
@@ -241,7 +241,10 @@ def compare_times(
     configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
-        (factors[name] - machine.expected, machine.error_of(configurations.error[labels == name]))
+        (
+            factors[name] - machine.expected,
+            machine.measure_error(configurations.error[labels == name]),
+        )
         for name, machine in machines.items()
         if not unjudged[name]
     ]
@@ -280,7 +283,7 @@ class _Machine:
         """Log factor of the step times that the kernels lead to expect."""
         return self.kernel + LOAD_WEIGHT * self.beyond
 
-    def error_of(self, configurations: Floats) -> float:
+    def measure_error(self, configurations: Floats) -> float:
         """Return its error against the median of configurations with these errors."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
         load2 = (LOAD_WEIGHT_ERROR * self.beyond) ** 2
@@ -310,7 +313,7 @@ def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
 def _kernel_ratios(timings: Sequence[Timing]) -> _Machine:
     """Return the kernels of one sequence, timed in every worker; NaN where a folder has none."""
     columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
-    return _Machine(*(median(logs[np.isfinite(logs)]) for logs in columns))
+    return _Machine(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
 from dpbench.arrays import Flags, Floats, Ints
 
 TRACK = ("n_m", "e_m", "psi_rad")
@@ -38,7 +38,7 @@ class HardRow(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class KeptRun:
+class ThinnedRun:
     """Steps that are kept of a run, however many it has.
 
     Parameters
@@ -57,7 +57,7 @@ class KeptRun:
     track: Track | None
 
     @classmethod
-    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> KeptRun:
+    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> ThinnedRun:
         """Keep a run; one of more than `most` steps is thinned, see `thinned_indices`."""
         chosen, extra = thinned_indices(run, most)
         hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
@@ -67,7 +67,7 @@ class KeptRun:
 
 def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
     rows = []
-    for hard in hardest(run, measure):
+    for hard in find_hardest_steps(run, measure):
         i = hard.at
         flags = bool(run.claimed[i]), bool(run.true[i])
         rows.append(
@@ -76,7 +76,7 @@ def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
     return rows
 
 
-def track_of(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
+def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
     """Return the track of a closed loop's rows, at most `most` points.
 
     Parameters
@@ -97,7 +97,7 @@ MOST = 2000
 """So many points of a run a figure draws: four and more a pixel."""
 
 
-def share(lengths: Sequence[int], most: int) -> int:
+def common_length(lengths: Sequence[int], most: int) -> int:
     """Return the largest number at which as much of each length adds up to `most`, or less."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):
@@ -119,12 +119,12 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     worst = min(WORST, most // 3)
     each = max(1, worst // len(MEASURES))
     regular = np.arange(0, count, -(-count // max(1, most - worst)))
-    hard = [step.at for measure in MEASURES for step in hardest(run, measure, each)]
+    hard = [step.at for measure in MEASURES for step in find_hardest_steps(run, measure, each)]
     both = np.union1d(regular, np.array(hard, dtype=np.int64))
     return both, ~np.isin(both, regular)
 
 
-def extremes(values: Floats, most: int = MOST) -> Ints:
+def extreme_indices(values: Floats, most: int = MOST) -> Ints:
     """Return (M,) indices of the values to draw, rising: all, or each part's least and largest.
 
     No more than `most`, of which a line of a few hundred pixels shows no difference.

@@ -19,11 +19,11 @@ from dpbench.analysis.records.step_times import (
     times_by_run,
 )
 from dpbench.bench.judge.rules import is_ranked
-from dpbench.bench.record.configuration import COMMON
-from dpbench.bench.record.recorded_steps import ALL, places_of
+from dpbench.bench.record.configuration import COMMON_FORMULATION
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS, run_slices
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -68,11 +68,11 @@ class Records:
         """True if the folder has the steps of its runs; one sent to others has none."""
         return self._steps.rows > 0
 
-    def steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
+    def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the step rows of a run, with some of `STEP_COLUMNS`; empty without steps."""
         return self._steps.of(run.run_id, columns)
 
-    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
+    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the step rows of a run that count."""
         steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
@@ -88,7 +88,7 @@ class Records:
         """Yield id, steps and rows with `columns` of the runs that left a counting row."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
-            rows, places = table[list(columns)], places_of(table["run_id"])
+            rows, places = table[list(columns)], run_slices(table["run_id"])
             for run_id, steps in run_steps(counting_of(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]
@@ -184,7 +184,7 @@ class Records:
         """Return the scenario a run was made from; None when no row carries it."""
         if name not in self._scenarios:
             carried = self._carried.get(name)
-            self._scenarios[name] = None if carried is None else scenario_of(carried)
+            self._scenarios[name] = None if carried is None else build_scenario(carried)
         return self._scenarios[name]
 
 
@@ -200,12 +200,14 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
 def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Select the runs in the common formulation of their problem, and the baseline law's.
 
-    Where a problem was never run in `COMMON`, its first formulation is the common one.
+    Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
     for run in runs:
         problem = _problem_columns(run)
-        if not run.is_baseline_law and (problem not in common or run.formulation == COMMON):
+        if not run.is_baseline_law and (
+            problem not in common or run.formulation == COMMON_FORMULATION
+        ):
             common[problem] = run.formulation
     return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem_columns(r)]]
 

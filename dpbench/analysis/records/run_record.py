@@ -21,9 +21,9 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
     Units,
-    source_from,
+    parse_source,
 )
-from dpbench.bench.record.configuration import COMMON, Configuration
+from dpbench.bench.record.configuration import COMMON_FORMULATION, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json
@@ -254,7 +254,7 @@ class RunRecord:
         words += [] if self.settings == "default" else [self.settings]
         names = [f"{self.solver} ({', '.join(words)})" if words else self.solver]
         names += [] if self.units == "scaled" else [self.units]
-        common = self.formulation in (COMMON, "none")
+        common = self.formulation in (COMMON_FORMULATION, "none")
         return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
@@ -316,7 +316,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     key = f"source {read.source!r}"
     if key not in shared:
         try:
-            shared[key] = source_from(read.source)
+            shared[key] = parse_source(read.source)
         except ValueError as error:
             raise _description_error("cell.source", error) from error
     same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
@@ -351,7 +351,7 @@ Item = TypeVar("Item")
 Key = TypeVar("Key")
 
 
-def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
     """Group items by key, keys and items in the order in which they come."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
@@ -359,7 +359,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
     return groups
 
 
-def firsts(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
+def first_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
     """Return the first item of each key."""
     first: dict[Key, Item] = {}
     for item in items:

@@ -15,8 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.judge.rules import decided, failed_steps
-from dpbench.bench.record.recorded_steps import places_of
+from dpbench.bench.judge.rules import decided_steps, failed_steps
+from dpbench.bench.record.recorded_steps import run_slices
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class CountingRows:
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
         """First row of each run, and the one after its last."""
-        return places_of(self.run_id)
+        return run_slices(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
         """Return the rows of one run; none when it left none."""
@@ -73,7 +73,7 @@ def counting_of(steps: pd.DataFrame) -> CountingRows:
     """Return the rows of a step table that count."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
-        "known": decided(steps)[counts],
+        "known": decided_steps(steps)[counts],
         "failed": failed_steps(steps)[counts],
     }
     for name in ("run_id", "status"):
@@ -177,7 +177,7 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
     )
 
 
-def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
+def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     """Return the hardest steps of a run, the hardest first, without those that have no figure."""
     values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))

@@ -9,8 +9,8 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
-from dpbench.bench.judge.rules import median
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import Configuration
 
 
@@ -67,13 +67,13 @@ def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
     """Return the hardest step of a run by each measure that it has."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
-        for hard in hardest(steps, measure, 1):
-            alone, usual = steps.at(np.array([hard.at])), median(steps.values(measure))
+        for hard in find_hardest_steps(steps, measure, 1):
+            alone, usual = steps.at(np.array([hard.at])), median_known(steps.values(measure))
             worst[measure] = WorstStep(measure, run, alone, hard.value, usual)
     return worst
 
 
-def value_at(records: Records, worst: WorstStep, configuration: Configuration) -> float:
+def find_step_value(records: Records, worst: WorstStep, configuration: Configuration) -> float:
     """Return the figure of another configuration at that step; NaN where it has none."""
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts
+from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
 from dpbench.bench.record.cell import CapabilitySource
@@ -99,7 +99,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
-        answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
+        answers = first_by(answers_of(records, runs), lambda of_solver: of_solver.solver)
         own = known.get(name)
         if own is not None:
             vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
@@ -118,7 +118,7 @@ def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
         claims = classify_steps(steps)
-        for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
+        for k in steps["k"][claims["lies"] | claims["wrong_refusals"]]:
             false_claimants.setdefault(int(k), set()).add(run.solver)
     rows = []
     for (case, from_deg), of_direction in points.groupby(["case", "from_deg"], sort=False):
@@ -141,8 +141,8 @@ def _count_answers(records: Records, run: RunRecord) -> Answers:
         len(steps) - infeasible,
         infeasible,
         int(counts["told"]),
-        int(counts["empty_right"]),
-        int(counts["lies"] + counts["empty_wrong"]),
+        int(counts["right_refusals"]),
+        int(counts["lies"] + counts["wrong_refusals"]),
         float(times.median()),
         float(times.max()),
     )

@@ -16,11 +16,11 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
 """Proven states of the loss of a group at a sample."""
@@ -81,13 +81,13 @@ class Analysis:
     @property
     def best(self) -> dict[str, BatchAnswers]:
         """Best configuration of each solver, by its name."""
-        return firsts(self.answers, lambda answers: answers.solver)
+        return first_by(self.answers, lambda answers: answers.solver)
 
 
 def consequence_analyses(records: Records) -> list[Analysis]:
     """Return the analyses that have a step, in the order of the suite."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
-    batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
+    batches = group_by(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
         _build_analysis(records, name, runs)
         for name, runs in batches.items()
@@ -96,11 +96,11 @@ def consequence_analyses(records: Records) -> list[Analysis]:
 
 
 def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
-    groups = grouped(runs, lambda run: run.lost_group)
+    groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
-    sample_s = math.nan if files is None else scenario_once(files).sample_s
-    by_configuration = grouped(runs, lambda run: run.name)
+    sample_s = math.nan if files is None else cached_scenario(files).sample_s
+    by_configuration = group_by(runs, lambda run: run.name)
     answers = [
         _batch_answers(records, own, len(groups), sample_s) for own in by_configuration.values()
     ]
@@ -148,10 +148,10 @@ def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
         "feasible": claims["steps"] & ~infeasible,
         "infeasible": infeasible,
         "held": claims["told"],
-        "refused": claims["empty_right"] & infeasible,
+        "refused": claims["right_refusals"] & infeasible,
     }
     lies = claims["lies"]
-    ever = {"missed": lies & infeasible, "untrue": lies | claims["empty_wrong"]}
+    ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
     by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
     counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
     return counts
@@ -171,7 +171,7 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
 def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
     """Return the answers of each configuration that was run in every analysis, by its name."""
     answers = [own for analysis in analyses for own in analysis.answers]
-    by_name = grouped(answers, lambda own: own.name)
+    by_name = group_by(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 

@@ -65,7 +65,7 @@ class Law:
     steps: pd.DataFrame
 
 
-def laws_of(view: Records) -> list[Law]:
+def find_paper_runs(view: Records) -> list[Law]:
     """Return the constrained law of the paper's own scenario, and the clipped one if it was run."""
     pair = find_laws(view, PAPER)
     if pair.constrained is None:
@@ -76,7 +76,7 @@ def laws_of(view: Records) -> list[Law]:
     return laws
 
 
-def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
+def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     """Return the north, east, radial [m] and heading [°] errors of the rows of a loop."""
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
@@ -84,7 +84,7 @@ def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
-def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     """Return the data of a figure: law, t_s, and its columns with their units.
 
     Forces and increments have each axis, then its limits.
@@ -99,7 +99,7 @@ def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
         columns |= {name: steps[name] for name in ("n_m", "e_m")}
     elif figure == "errors":
         units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-        by_name = errors(steps, scenario.reference)
+        by_name = pose_errors(steps, scenario.reference)
         columns |= {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
     else:
         vessel, most = scenario.vessel, scenario.force_step_max
@@ -176,7 +176,7 @@ SMALLER = {
 """Figures that the constrained law has smaller, by more than which share of the larger."""
 
 
-def judged(records: Records, scenario: str, by: str) -> Finding:
+def assess_claim(records: Records, scenario: str, by: str) -> Finding:
     """Assess a claim in the paper's scenario of that name, where its laws ran to the end."""
     pair = find_paper_laws(records, scenario)
     laws = 1 if by in HOLDS else 2
@@ -209,7 +209,7 @@ def find_circle_entry_s(records: Records, run: RunRecord) -> float:
     """Return the time from which a run stays within the circle [s]; inf if it ends outside."""
     scenario, steps = records.scenario(run.scenario), records.steps(run)
     assert scenario is not None, "a run of the paper's own scenario"
-    outside = np.flatnonzero(errors(steps, scenario.reference)["radial"] > CIRCLE_M)
+    outside = np.flatnonzero(pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
     if not len(outside):
         return 0.0
     last = int(outside[-1])

@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
-    decided,
+    decided_steps,
     true_not_claimed,
 )
 from dpbench.bench.record.configuration import settings_level
@@ -33,7 +33,7 @@ class Tally:
     ----------
     steps : certified steps that were reached; missed : asked for and never reached.
     told : claimed and true; lies : claimed and not true; silent : true and not claimed.
-    empty_right, empty_wrong : called infeasible or unbounded, rightly and wrongly.
+    right_refusals, wrong_refusals : called infeasible or unbounded, rightly and wrongly.
     nothing : neither a claim nor a true answer.
     """
 
@@ -41,15 +41,15 @@ class Tally:
     told: int
     lies: int
     silent: int
-    empty_right: int
-    empty_wrong: int
+    right_refusals: int
+    wrong_refusals: int
     nothing: int
     missed: int
 
     @property
     def wrong(self) -> int:
         """Untrue claims of either kind."""
-        return self.lies + self.empty_wrong
+        return self.lies + self.wrong_refusals
 
 
 class RandomClaims:
@@ -81,9 +81,9 @@ class RandomClaims:
 
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     kept: list[RunRecord] = []
-    for own in grouped(runs, lambda run: replace(run.configuration, settings="")).values():
-        by_level = grouped(own, lambda run: run.settings)
-        for alike in grouped(by_level.items(), lambda level: _run_key(level[1])).values():
+    for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
+        by_level = group_by(own, lambda run: run.settings)
+        for alike in group_by(by_level.items(), lambda level: _run_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
@@ -104,7 +104,7 @@ def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
 
 def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
     """Classify each step: one Boolean column per count of `Tally`, except `missed`."""
-    known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
+    known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(
         {
@@ -112,8 +112,8 @@ def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
             "told": known & claimed & true,
             "lies": claimed_not_true(steps),
             "silent": true_not_claimed(steps),
-            "empty_right": known & none_said & true,
-            "empty_wrong": known & none_said & ~true,
+            "right_refusals": known & none_said & true,
+            "wrong_refusals": known & none_said & ~true,
             "nothing": known & ~claimed & ~none_said & ~true,
         },
         index=steps.index,

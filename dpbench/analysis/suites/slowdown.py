@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
-from dpbench.analysis.verdict.requirements import cost_ratio, survived
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.verdict.requirements import cost_ratio, has_survived
 from dpbench.bench.record.configuration import Configuration
 
 
@@ -23,7 +23,7 @@ class DelayedConfiguration:
     @property
     def survives(self) -> float:
         """Largest slow-down up to which every loop that was run survives; NaN for none."""
-        survived_slowdowns = takewhile(lambda s: survived(self.loops[s]), self.loops)
+        survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
 
 
@@ -39,7 +39,7 @@ class DelayedGroup:
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
     """Group the loops on slow computers by scenario; configurations that survive most first."""
-    groups = grouped(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
+    groups = group_by(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
     return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
 
 
@@ -47,7 +47,7 @@ def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ..
     rising = sorted(runs, key=lambda run: run.slowdown)
     delayed = [
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
-        for configuration, loops in grouped(rising, lambda run: run.configuration).items()
+        for configuration, loops in group_by(rising, lambda run: run.configuration).items()
     ]
     return tuple(sorted(delayed, key=_survival_key))
 

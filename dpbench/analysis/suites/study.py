@@ -28,12 +28,12 @@ import pandas as pd
 from scipy.stats import t as student
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
-from dpbench.analysis.verdict.fastest import known_record
+from dpbench.analysis.verdict.fastest import find_solver_record
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
-from dpbench.solvers.settings import settings_matter, tolerance_of
+from dpbench.solvers.settings import has_tolerance_levels, parse_tolerance
 
 SMALL_M = 0.01
 """A difference of 1 cm in the 95 % radial error is what a tolerance may cost."""
@@ -316,7 +316,7 @@ class Study:
         """Loosest cheap tolerance of each solver that was run at several; None where none is."""
         stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
-        for solver, of_solver in grouped(stated, lambda one: one[1].solver).items():
+        for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
             cheap = [one for one in of_solver if one[1].is_cheap]
             loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
         return loosest
@@ -328,21 +328,21 @@ class Study:
         return self.points.join(held, how="inner")
 
 
-def studies(records: Records) -> list[Study]:
+def find_studies(records: Records) -> list[Study]:
     """Return all studies of a result folder."""
     radii = {
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
     }
-    by_name = grouped(records.study, lambda run: run.study)
+    by_name = group_by(records.study, lambda run: run.study)
     return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
 def _tolerance(solver: str, settings: str) -> float | None:
     """Return the tolerance of settings; None of a library's own choice or without one to set."""
-    if known_record(solver) is None or not settings_matter(solver):
+    if find_solver_record(solver) is None or not has_tolerance_levels(solver):
         return None
-    return TOLERANCES.get(settings) or tolerance_of(settings)
+    return TOLERANCES.get(settings) or parse_tolerance(settings)
 
 
 def _exactness(solver: str, settings: str) -> tuple[int, float]:
@@ -353,7 +353,7 @@ def _exactness(solver: str, settings: str) -> tuple[int, float]:
     tolerance = _tolerance(solver, settings)
     if solver in EXACT_FIRST:
         return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)
-    if known_record(solver) is not None and not settings_matter(solver):
+    if find_solver_record(solver) is not None and not has_tolerance_levels(solver):
         return 1, 0.0
     return (3, 0.0) if tolerance is None else (2, tolerance)
 

@@ -17,7 +17,7 @@ MOST_DOTS = 1500
 """Most seas of a figure: of more, some of each configuration at even ranks, with its extremes."""
 
 
-def fits(study: Study) -> bool:
+def has_point_per_tile(study: Study) -> bool:
     """Return whether every point has a place of its own on a map."""
     return len(study.points) <= MOST_POINTS
 
@@ -35,7 +35,7 @@ def held_maps(study: Study) -> pd.DataFrame:
     for configuration in [study.configurations[0], *ordered]:
         table = study.held_map(configuration.name).rename(columns=columns)
         part = table[[*names, "held", "runs"]]
-        if not fits(study):
+        if not has_point_per_tile(study):
             part = part.assign(**{name: _field_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
@@ -60,7 +60,7 @@ def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
-def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
     """Return the means of `mean_cm`, some seas [cm], and the number of seas.
 
     They are excess errors of configurations over the reference.
@@ -76,11 +76,11 @@ def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
         count += len(each)
         ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
         some = each.sort_values().iloc[ranks] if len(each) > most else each
-        seas.append(some.rename("behind_cm").reset_index().assign(name=configuration.name))
+        seas.append(some.rename("error_excess_cm").reset_index().assign(name=configuration.name))
     return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
 
 
-def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
     """Return each run's excess error over the reference in the same sea [cm]; NaN without one."""
     reference = study.values(study.reference, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])

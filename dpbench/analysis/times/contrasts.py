@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import (
     UNKNOWN,
@@ -28,7 +28,7 @@ from dpbench.analysis.statistics import (
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import median
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import settings_level
 
 
@@ -63,7 +63,7 @@ class PairedComparison:
         return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
 
 
-def paired(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
+def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Return the algorithmic times of the steps that both configurations have done."""
     if np.array_equal(first.k, second.k):
         return first.algo_ns, second.algo_ns
@@ -76,7 +76,7 @@ def pooled_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
 
     Each pair has equal weight; unknown where there are none.
     """
-    common = (paired(first, second) for first, second in replays)
+    common = (match_steps(first, second) for first, second in replays)
     return pooled_mean([np.log(second / first) for first, second in common if len(first)])
 
 
@@ -103,7 +103,7 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
         times = [_find_times(records, sequence, verdict) for verdict in (first, second)]
         if times[0] is None or times[1] is None:
             continue
-        first_ns, second_ns = paired(times[0], times[1])
+        first_ns, second_ns = match_steps(times[0], times[1])
         if not len(first_ns):
             continue
         logs.append(np.log(second_ns / first_ns))
@@ -115,7 +115,9 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     return PairedComparison(*names, pooled_mean(logs), steps, leaders)
 
 
-def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> list[Verdict]:
+def find_faster_inconclusive(
+    records: Records, verdicts: Verdicts, chosen: Verdict
+) -> list[Verdict]:
     """Return the fastest inconclusive configuration of each solver, the fastest first.
 
     Only those surely faster than `chosen`, without anything against the requirements.
@@ -124,7 +126,7 @@ def faster_but_open(records: Records, verdicts: Verdicts, chosen: Verdict) -> li
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
     faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
     ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
-    return list(firsts(ordered, lambda verdict: verdict.configuration.solver).values())
+    return list(first_by(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
 def _find_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
@@ -176,7 +178,7 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
     None where no native route has a neighbour.
     """
     medians: dict[tuple[float, str], list[RouteGain]] = {}
-    by_solver = grouped(records.replays(sequence), lambda run: (run.solver, run.settings))
+    by_solver = group_by(records.replays(sequence), lambda run: (run.solver, run.settings))
     for (solver, settings), runs in by_solver.items():
         timed = ((run, records.times(run)) for run in runs)
         times: dict[RoutePolicy, StepTimes] = {
@@ -197,7 +199,7 @@ def _gains_by_route(
     for route, own in times.items():
         above = next((above for above in ABOVE.get(route, ()) if above in times), None)
         if above is not None:
-            above_ns, own_ns = paired(times[above], own)
+            above_ns, own_ns = match_steps(times[above], own)
             if len(own_ns):
                 yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
@@ -206,7 +208,7 @@ def right_levels(records: Records, requirements: Requirements) -> dict[str, list
     """Return the levels at which each solver is right on every step, the most usual first."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
-    for (solver, level), own in grouped(runs, lambda run: (run.solver, run.settings)).items():
+    for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
         if all(is_right(run, requirements) for run in own):
             levels[solver].append(level)
     return levels
@@ -222,7 +224,7 @@ def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
         if times is not None and is_right(run, requirements):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
-            by_case.setdefault(case, {})[run.formulation] = median(times.algo_ns)
+            by_case.setdefault(case, {})[run.formulation] = median_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 

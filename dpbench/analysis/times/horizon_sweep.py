@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right
@@ -26,7 +26,7 @@ LEAST_SIZES = 3
 """Two points lie on a line whatever the law is."""
 
 
-def moves_of(horizons: Horizons) -> int:
+def count_moves(horizons: Horizons) -> int:
     """Return the number of moves of a plan: n of the condensed form, which compares all forms."""
     return len(FORCES) * horizons[1]
 
@@ -80,7 +80,7 @@ class SweptConfiguration:
     @property
     def growth(self) -> float | None:
         """`growth_exponent` over the number of moves."""
-        sizes = [moves_of(horizons) for horizons in self.timed]
+        sizes = [count_moves(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     @property
@@ -140,21 +140,21 @@ class Sweep:
             for horizons, point in swept.timed.items()
             if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
         ]
-        return max(held, key=moves_of, default=None)
+        return max(held, key=count_moves, default=None)
 
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
         best = sorted(self.swept, key=_preference_key)
-        kinds = firsts(best, lambda s: (s.configuration.solver, s.configuration.formulation))
+        kinds = first_by(best, lambda s: (s.configuration.solver, s.configuration.formulation))
         return list(kinds.values())
 
 
-def sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
+def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
     """Return the sweeps in the records: scenarios replayed under two horizons at least."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
-    problems = grouped(replays, _problem_key)
+    problems = group_by(replays, _problem_key)
     candidates = [
         _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
     ]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, usual_factor
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
@@ -38,7 +38,7 @@ def timed_runs(records: Records) -> list[RunRecord]:
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return _set_own_switches_apart(list(firsts(timed, _run_key).values()))
+    return _set_own_switches_apart(list(first_by(timed, _run_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
@@ -92,14 +92,14 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
     Random problems, which are not timed alone, are not included.
     """
-    replays = grouped(timed_runs(records), lambda run: run.sequence)
+    replays = group_by(timed_runs(records), lambda run: run.sequence)
     disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
 
 
 def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
     """Return by name the largest of its known figures."""
-    known = grouped((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
+    known = group_by((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
     return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 

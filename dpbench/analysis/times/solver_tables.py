@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.kept_runs import KeptRun
+from dpbench.analysis.records.kept_runs import ThinnedRun
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
 from dpbench.analysis.times.machine import library_call_ns
-from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first, solver_family
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.judge.rules import percentile, supports
+from dpbench.bench.judge.rules import percentile, supports_percentile
 from dpbench.bench.record.configuration import Configuration, settings_level
 
 LARGEST_ERROR = 1e3
@@ -92,7 +92,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
+    """Return columns `TIMES` of the best configuration of each solver that was timed."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -109,7 +109,7 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
-        for verdict in best_of_each(matrix.verdicts)
+        for verdict in best_verdict_by_solver(matrix.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(TIMES))
@@ -122,7 +122,9 @@ def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
 
 def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     """Return solver × experiment × settings, in the call mode of its best configuration."""
-    best = {v.configuration.solver: v.configuration for v in best_of_each(matrix.verdicts)}
+    best = {
+        v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
+    }
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
@@ -157,7 +159,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
-    best = (v.configuration for v in best_of_each(matrix.verdicts))
+    best = (v.configuration for v in best_verdict_by_solver(matrix.verdicts))
     modes = {c.solver: (c.route, c.policy) for c in best}
     levels = level_points(matrix.records, matrix.records.sequences, modes)
     states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
@@ -168,7 +170,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
         judged = point.configuration.in_common_formulation
         columns = {
             "id": str(matrix.index(judged)),
-            "family": family_of(judged.solver),
+            "family": solver_family(judged.solver),
             "error": point.error_move,
             "p50_us": point.p50_ns / 1e3,
             "p99_us": point.p99_ns / 1e3,
@@ -178,7 +180,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
+def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
     """Return the hardest steps of every run outside studies by each measure; times in µs.
 
     Parameters
@@ -204,7 +206,7 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, KeptRun]) -> pd.DataFr
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
     """Return the paired ratio of each solver's best configuration to the fastest of them."""
-    timed = fastest_first([v for v in best_of_each(matrix.verdicts) if v.timed_on])
+    timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
@@ -252,7 +254,7 @@ def level_points(
     """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
     wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]
-    configurations = grouped(wanted, lambda run: run.configuration.in_common_formulation)
+    configurations = group_by(wanted, lambda run: run.configuration.in_common_formulation)
     points = [
         point
         for configuration, runs in configurations.items()
@@ -260,7 +262,7 @@ def level_points(
         and (point := _level_point(records, configuration, runs)) is not None
     ]
     points.sort(key=lambda point: settings_level(point.configuration.settings))
-    return grouped(points, lambda point: point.configuration.solver)
+    return group_by(points, lambda point: point.configuration.solver)
 
 
 def _level_point(
@@ -269,7 +271,7 @@ def _level_point(
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None
-    whole = [algo for algo in timed if supports(len(algo), 99)]
+    whole = [algo for algo in timed if supports_percentile(len(algo), 99)]
     return LevelPoint(
         configuration,
         p50_ns=max(float(np.median(algo)) for algo in whole or timed),

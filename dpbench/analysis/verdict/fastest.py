@@ -10,13 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.run_record import grouped
+from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
@@ -49,14 +49,16 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
     return fastest_first(sorted(wide, key=_level_key))
 
 
-def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
+def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
     """Return the solver's fastest configuration, or more usual settings hardly slower."""
     return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
 def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     """Return the fastest qualifying configuration of each solver, the fastest solver first."""
-    by_solver = grouped(rank_configurations(verdicts), lambda verdict: verdict.configuration.solver)
+    by_solver = group_by(
+        rank_configurations(verdicts), lambda verdict: verdict.configuration.solver
+    )
     return list(map(_most_usual, by_solver.values()))
 
 
@@ -119,26 +121,26 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
     return SolverChoice(chosen, deployable[1] if deployable[1:] else None, faster, because)
 
 
-def known_record(solver: str) -> SolverRecord | None:
+def find_solver_record(solver: str) -> SolverRecord | None:
     """Return the record of a solver; None for one that this installation does not have."""
     try:
-        return record(solver)
+        return find_record(solver)
     except UnknownNameError:
         return None
 
 
-def family_of(solver: str) -> str:
+def solver_family(solver: str) -> str:
     """Return the family of methods of a solver; "not stated" of one that is not known here."""
-    return str(getattr(known_record(solver), "family", "not stated"))
+    return str(getattr(find_solver_record(solver), "family", "not stated"))
 
 
 def deployment_blocker(solver: str) -> str:
     """Return why a solver cannot be deployed as it is; "" where it can."""
-    known = known_record(solver)
+    known = find_solver_record(solver)
     return "not in the table of this installation" if known is None else known.deployment_blocker
 
 
-def best_of_each(verdicts: Verdicts) -> list[Verdict]:
+def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
     """Return the configuration that shows each solver, the best state first, then by time.
 
     It is one of the solver's best state: that of `rank_solvers`, else its reference, else the

@@ -19,9 +19,9 @@ hundred, which a p99 allows ("late timings").
 
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times. The count is held against a binomial one with a share of 1 %. Where
-nobody knows who had the core, each involuntary context switch explains one late timing; of all
-switches only those count that can have hit the base time of a timed call (`explained_by`).
+the uncertainty of the times. The count is compared with a binomial one with a share of 1 %. Where
+waits for the core are not recorded, each involuntary context switch explains one late timing; only
+those switches count that can have hit the base time of a timed call (`explained_late_timings`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -43,13 +43,13 @@ import numpy as np
 from scipy.stats import binom, nbinom
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import Delays
 from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import explained_by
+from dpbench.bench.judge.rules import explained_late_timings
 
 Kind = Literal["late timings", "late at random", "past the deadline"]
 PROVEN, DOUBTFUL = 0.001, 0.05
@@ -150,7 +150,7 @@ def find_late_timings(
         "past the deadline": _test_deadline(loops, replays, arms, delays, requirements),
     }
     adjusted = (test for family in tests.values() for test in adjust_p_values(family))
-    return grouped((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
+    return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
 
 
 def _is_tested(run: RunRecord) -> bool:
@@ -184,7 +184,7 @@ def _test_replays(
     tests: list[LateTimings] = []
     sources = choose_trusted_runs(replays, arms, delays, requirements)
     for _ in range(PASSES):
-        on_sequence = grouped(sources, lambda run: run.sequence)
+        on_sequence = group_by(sources, lambda run: run.sequence)
         machines: dict[tuple[str, str, bool], MachineAt | None] = {}
         tests = []
         for run in replays:
@@ -299,7 +299,7 @@ def _explained_count(run: RunRecord, own: Delays, late: int, limit_ns: float) ->
     if math.isnan(run.involuntary_switches):
         return math.nan
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
-    return explained_by(run.involuntary_switches, timed_share)
+    return explained_late_timings(run.involuntary_switches, timed_share)
 
 
 def _test_deadline(

@@ -66,6 +66,6 @@ def cost_ratio(run: RunRecord) -> float:
     return run.closed_loop_cost / run.exact_cost
 
 
-def survived(run: RunRecord) -> bool:
+def has_survived(run: RunRecord) -> bool:
     """Return whether a loop ended, at a cost within `MARGIN` and without a violation."""
     return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

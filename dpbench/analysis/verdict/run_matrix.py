@@ -16,12 +16,12 @@ from functools import cached_property
 from typing import Self
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts
-from dpbench.analysis.verdict.requirements import Requirements, survived
+from dpbench.analysis.records.run_record import RunRecord, first_by
+from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
 from dpbench.bench.record.configuration import Configuration, settings_level
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class RunMatrix:
     def references(self) -> list[Configuration]:
         """Configuration each solver is judged by; its first where nothing was judged."""
         judged = [verdict.configuration for verdict in self.verdicts.references]
-        first = firsts(self.configurations, lambda configuration: configuration.solver)
+        first = first_by(self.configurations, lambda configuration: configuration.solver)
         return judged or list(first.values())
 
     @property
@@ -142,7 +142,7 @@ class RunMatrix:
     @cached_property
     def first_runs(self) -> dict[int, RunRecord]:
         """First run of each experiment."""
-        keys = firsts(self.runs, lambda key: key[1])
+        keys = first_by(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
     def scenario(self, run: RunRecord) -> Scenario | None:
@@ -152,7 +152,7 @@ class RunMatrix:
         experiment = Experiment.of(run)
         if experiment not in self._seas:
             files = run.scenario_files
-            self._seas[experiment] = None if files is None else scenario_of(files)
+            self._seas[experiment] = None if files is None else build_scenario(files)
         return self._seas[experiment]
 
     def state(self, c: int, p: int) -> str:
@@ -166,11 +166,11 @@ class RunMatrix:
         run = self.runs[c, p]
         if verdict.causes:
             return verdict.state
-        if run.slowdown > 0.0 and not survived(run):
+        if run.slowdown > 0.0 and not has_survived(run):
             return "late"
         return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
-    def timed_at(self, verdict: Verdict) -> int | None:
+    def timed_experiment_index(self, verdict: Verdict) -> int | None:
         """Return the number of the replay behind the p99 of a verdict; None without one."""
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None

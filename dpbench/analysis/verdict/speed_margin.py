@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns
@@ -70,7 +70,7 @@ def speed_margins(
 ) -> Mapping[Configuration, SpeedMargin]:
     """Return the speed margin of every configuration that was timed."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
-    of_configuration = grouped(replays, lambda run: run.configuration.in_common_formulation)
+    of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
     for configuration, runs in of_configuration.items():
         algo = {run: times.algo_ns for run in runs if (times := records.times(run)) is not None}

@@ -8,7 +8,7 @@ from math import isfinite, nan
 from typing import Literal
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, firsts, grouped
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
@@ -45,15 +45,15 @@ class Steering:
         return [name for name, state in self.with_thrusters.items() if state in unclear]
 
     @property
-    def fine_with_forces(self) -> list[str]:
+    def passing_with_forces(self) -> list[str]:
         """Those that pass with three forces and were judged with thrusters."""
         known = self.with_thrusters
         return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
 
     @property
-    def only_with_forces(self) -> list[str]:
-        """Those of `fine_with_forces` that fail, or are late, with thrusters."""
-        return [s for s in self.fine_with_forces if self.with_thrusters[s] in MISSED]
+    def passing_with_forces_only(self) -> list[str]:
+        """Those of `passing_with_forces` that fail, or are late, with thrusters."""
+        return [s for s in self.passing_with_forces if self.with_thrusters[s] in MISSED]
 
     @property
     def missing(self) -> list[str]:
@@ -67,7 +67,7 @@ def is_about_thrusters(records: Records) -> bool:
     return 2 * sum(loops.values()) > len(loops)
 
 
-def steering_of(records: Records, requirements: Requirements) -> Steering:
+def compare_commanded(records: Records, requirements: Requirements) -> Steering:
     """Return the verdicts by what is commanded."""
     of_thrusters = [run for run in records.runs if run.steers_thrusters]
     of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
@@ -97,9 +97,9 @@ def thruster_control_loops(records: Records, requirements: Requirements) -> Thru
     runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
     right = [run for run in runs if is_right_to_the_end(run, requirements)]
     right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
-    best = firsts(right, lambda run: run.scenario)
+    best = first_by(right, lambda run: run.scenario)
     known = (run for run in runs if run.scenario in best)
-    configurations = grouped(known, lambda run: run.configuration.in_common_formulation.label)
+    configurations = group_by(known, lambda run: run.configuration.in_common_formulation.label)
     return ThrusterControlLoops(best, configurations)
 
 
@@ -109,7 +109,7 @@ def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column:
     return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
-def lost_late(run: RunRecord) -> list[str]:
+def late_losses(run: RunRecord) -> list[str]:
     """Return thrusters and groups that a loop loses, all in the second half of its run."""
     scenario = (run.scenario_files or {}).get("scenario", {})
     faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
@@ -87,7 +87,7 @@ def report_late_timings(
 ) -> list[Finding]:
     """Return findings on the single timings of runs, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
-    by_kind: dict[Cause | Doubt, list[LateTimings]] = grouped(
+    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(
         found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
     )
     findings = []

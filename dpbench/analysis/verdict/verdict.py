@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
@@ -31,7 +31,7 @@ from dpbench.analysis.verdict.findings import (
     worst_first,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.bench.judge.rules import largest
+from dpbench.bench.judge.rules import largest_known
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
 
@@ -128,8 +128,8 @@ def verdicts_of(
     runs = records.runs if among is None else among
     judged = [run for run in runs if run.units == "scaled" and not run.is_baseline_law]
     verdicts: dict[str, list[Verdict]] = {}
-    for solver, of_solver in grouped(judged, lambda run: run.solver).items():
-        by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
+    for solver, of_solver in group_by(judged, lambda run: run.solver).items():
+        by_configuration = group_by(of_solver, lambda run: run.configuration.in_common_formulation)
         longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
         ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
@@ -142,7 +142,7 @@ def verdicts_of(
 
 def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Return the longest run of each scenario and replay."""
-    alike = grouped(runs, lambda run: (run.mode, run.problem))
+    alike = group_by(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
@@ -174,7 +174,7 @@ def verdict_of(
     """
     ran = [run for run in runs if run.outcome != "refused"]
     if not ran:
-        return Verdict(configuration, "not run", refusal=detail(runs[0]))
+        return Verdict(configuration, "not run", refusal=outcome_cause(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
     late_timings, uncertainty = time_findings.time_evidence(records, requirements)
     times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
@@ -195,7 +195,7 @@ def verdict_of(
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
         steps=sum(_count_judged_steps(run) for run in ran),
-        error_move=largest([run.error_move_max for run in ran]),
+        error_move=largest_known([run.error_move_max for run in ran]),
         failed_steps=sum(_count(run.failed_steps) for run in ran),
         **figures,
     )
@@ -212,7 +212,7 @@ def _overall_state(
     return "borderline" if near else "pass"
 
 
-def detail(run: RunRecord) -> str:
+def outcome_cause(run: RunRecord) -> str:
     """Return the cause of a run's outcome, in the library's or the harness's words."""
     return run.cause or "no reason was recorded"
 

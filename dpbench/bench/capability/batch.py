@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
@@ -46,7 +46,7 @@ def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
     ]
 
 
-def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
+def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
     """Return the `POINTS` points of one direction."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):

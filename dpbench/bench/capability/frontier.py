@@ -14,9 +14,9 @@ from dpbench.arrays import Vector
 from dpbench.bench.capability.utilisation import Utilisation
 from dpbench.errors import InputError
 from dpbench.ship.capability import losses
-from dpbench.ship.capability.conditions import DP_CONDITIONS, condition_of_wind
+from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
-from dpbench.ship.capability.shapes import Piece, pieces
+from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.vessel import Vessel
 
 DIRECTIONS = 36
@@ -39,7 +39,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Held:
+class WindLimit:
     """The largest wind [m/s] held from one direction, and the DP capability number.
 
     At number 11 the wind is that of the standard's last row: nothing is known beyond.
@@ -95,7 +95,7 @@ class Frontier:
         ]
 
     def _weather(self, from_rad: float, wind_mps: float) -> Weather:
-        condition = condition_of_wind(wind_mps)
+        condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
             losses.vented_share(thruster, self.hull, condition, from_rad)
@@ -112,7 +112,7 @@ class Frontier:
         return [
             [Piece()]
             if thruster.kind != "azimuth" or i in case.lost
-            else pieces(
+            else convex_pieces(
                 thruster.sector_rad,
                 losses.forbidden_zones(thruster, working),
                 losses.dead_losses(thruster, dead),
@@ -144,18 +144,20 @@ class Frontier:
         ]
         return min(uses, key=lambda use: use[0])
 
-    def held(self, case: Case, from_rad: float) -> Held:
+    def held(self, case: Case, from_rad: float) -> WindLimit:
         """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
             uses = (self.use(case, from_rad, wind_mps, chosen) for chosen in choices)
             holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
             if holding is None:
-                return Held(self._largest_wind(case, from_rad, (low, wind_mps), choices), number)
+                return WindLimit(
+                    self._largest_wind(case, from_rad, (low, wind_mps), choices), number
+                )
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
-        return Held(low, number)
+        return WindLimit(low, number)
 
     def _largest_wind(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]

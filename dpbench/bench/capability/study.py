@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, Frontier, Held
+from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, Frontier, WindLimit
 from dpbench.bench.progress import Progress, Silent
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
@@ -28,12 +28,12 @@ class Capability:
 
     vessel: str
     sides: int | None
-    held: dict[str, tuple[Held, ...]]
+    held: dict[str, tuple[WindLimit, ...]]
     lost: dict[str, tuple[str, ...]]
     assumed: tuple[str, ...]
 
     @property
-    def worst_failure(self) -> tuple[Held, ...]:
+    def worst_failure(self) -> tuple[WindLimit, ...]:
         """The least that is held after any failure, by direction."""
         failures = [held for case, held in self.held.items() if case != INTACT]
         return tuple(
@@ -51,7 +51,7 @@ class Capability:
         return f"DP capability-L1({', '.join(map(str, self.numbers))})"
 
 
-def _least_numbers(held: tuple[Held, ...]) -> tuple[int, int]:
+def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
     """Return the least number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number
@@ -61,11 +61,11 @@ def _least_numbers(held: tuple[Held, ...]) -> tuple[int, int]:
     return min(near), min(at.number for at in held)
 
 
-def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capability:
+def compute_capability(frontier: Frontier, progress: Progress | None = None) -> Capability:
     """Return the capability within a frontier; ArithmeticError if the cone solver fails."""
     progress, cases = progress or Silent(), frontier.cases
     progress.start(len(cases) * DIRECTIONS)
-    held: dict[str, tuple[Held, ...]] = {}
+    held: dict[str, tuple[WindLimit, ...]] = {}
     for case in cases:
         edges = []
         for from_deg in FROM_DEG:
@@ -77,6 +77,6 @@ def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capab
     return Capability(frontier.vessel.id, frontier.sides, held, lost, frontier.hull.assumed)
 
 
-def holds_most(held: Held) -> bool:
+def is_beyond_standard(held: WindLimit) -> bool:
     """Return whether the standard has no weather beyond what is held."""
     return held.number == max(DP_CONDITIONS)

@@ -16,8 +16,8 @@ import pyarrow as pa
 from dpbench.bench.capability.batch import Point
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.errors import ResultsError
-from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import replaced
+from dpbench.files.tables import decode_words, open_table
+from dpbench.files.writing import replace_file
 
 CAPABILITY_FILE = "capability.parquet"
 COLUMNS = {
@@ -65,7 +65,7 @@ def capability_columns(
 def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
     """Write the plots into a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
-    with replaced(out / CAPABILITY_FILE) as part:
+    with replace_file(out / CAPABILITY_FILE) as part:
         frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
@@ -75,8 +75,8 @@ def load_capability(folder: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        with opened_table(path, error=ResultsError) as file:
-            table = in_full(file.read(columns=list(COLUMNS)), path, error=ResultsError)
+        with open_table(path, error=ResultsError) as file:
+            table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
         plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
         return plots.astype(COLUMNS)
     except ResultsError:

@@ -16,7 +16,11 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.thrusters.static_allocation import balance_matrix, balance_units, sector_normals
+from dpbench.mpc.thrusters.static_allocation import (
+    build_balance_matrix,
+    compute_balance_units,
+    compute_sector_normals,
+)
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
@@ -36,7 +40,10 @@ class Utilisation:
 
     def __init__(self, thrusters: ThrusterSet, sides: int | None = None) -> None:
         self._thrusters, self._sides = thrusters, sides
-        self._balance, self._units = balance_matrix(thrusters), balance_units(thrusters)
+        self._balance, self._units = (
+            build_balance_matrix(thrusters),
+            compute_balance_units(thrusters),
+        )
         self._cones: dict[tuple[frozenset[int], tuple[int, ...]], _Cones] = {}
         settings = _clarabel().DefaultSettings()
         settings.verbose = False
@@ -125,7 +132,9 @@ def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Mat
         cones = [_clarabel().NonnegativeConeT(sides)]
     cuts = np.column_stack((-piece.chords[:, :2], piece.chords[:, 2:]))
     if piece.sector is not None:
-        cuts = np.vstack([np.column_stack((sector_normals(*piece.sector), np.zeros(2))), cuts])
+        cuts = np.vstack(
+            [np.column_stack((compute_sector_normals(*piece.sector), np.zeros(2))), cuts]
+        )
     if len(cuts):
         cones.append(_clarabel().NonnegativeConeT(len(cuts)))
     return np.vstack([circle, cuts]), cones

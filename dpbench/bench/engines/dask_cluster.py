@@ -74,7 +74,7 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
 
 
 @contextmanager
-def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
+def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
     """Connect a client to a scheduler; InputError where none answers, or refuses it.
 
     Parameters

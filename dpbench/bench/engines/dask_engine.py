@@ -19,7 +19,7 @@ from uuid import uuid4
 
 from distributed import CancelledError, Future, KilledWorker
 
-from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connected, start_own_cluster
+from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connect_client, start_own_cluster
 from dpbench.bench.engines.engine import (
     BATCHES_AHEAD,
     Completed,
@@ -30,8 +30,8 @@ from dpbench.bench.engines.engine import (
 from dpbench.bench.engines.on_worker import (
     CampaignContext,
     MadeFile,
+    list_outcomes,
     make_files,
-    results_of,
     return_file,
     run_cells,
 )
@@ -90,7 +90,7 @@ class DaskEngine(ExitStack):
 
     def connect(self, scheduler: str, tls: TlsFiles | None) -> None:
         """Use the workers of a scheduler; InputError where that is impossible."""
-        client = self.enter_context(connected(scheduler, tls))
+        client = self.enter_context(connect_client(scheduler, tls))
         self._where = f"at {scheduler}"
         self._cluster = Cluster(client)
         self.machine = self._cluster.machine
@@ -189,7 +189,7 @@ class DaskEngine(ExitStack):
         for name, made in returned.items():
             if made.data:
                 write_bytes(Path(name), made.data)
-        return results_of(returned)
+        return list_outcomes(returned)
 
     def _require_connection(self) -> None:
         if self.cluster.client.status != "running":
@@ -233,7 +233,7 @@ class DaskEngine(ExitStack):
                 made[name] = self._submit(dict.get, together, name, name="source")
         self._sources |= made
         self._given_to |= {future.key: self.cluster.addresses for future in made.values()}
-        return self._submit(results_of, made, name="made")
+        return self._submit(list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
         named = {str(path): text for path, text in texts.items()}

@@ -12,11 +12,11 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import missing, needed, template_context
+from dpbench.bench.workers.child import needed_modules, template_context, uncompiled_modules
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.locks import Patience
+from dpbench.locks import WaitLimit
 
 COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
@@ -27,7 +27,7 @@ class LocalEngine(ExitStack):
     `slots` processes run at a time, on as many cores; timed replays run one at a time.
     """
 
-    def __init__(self, slots: int, patience: Patience = Patience()) -> None:  # noqa: B008 - frozen
+    def __init__(self, slots: int, patience: WaitLimit = WaitLimit()) -> None:  # noqa: B008 - frozen
         super().__init__()
         self.machine = describe_machine()
         self.slots, self._patience = slots, patience
@@ -40,7 +40,7 @@ class LocalEngine(ExitStack):
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the template of processes."""
         solvers = list_solvers(jobs)
-        if missing(needed(solvers)):
+        if uncompiled_modules(needed_modules(solvers)):
             progress.remark(COMPILING)
         self._sources = sources
         self._scratch = self.enter_context(Scratch(sources.folder))

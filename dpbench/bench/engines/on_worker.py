@@ -28,7 +28,7 @@ from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Res
 from dpbench.bench.workers.leases import lease_core
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import temporary_folder
 
 
@@ -126,7 +126,7 @@ def return_file(made: MadeFile) -> MadeFile:
     return made
 
 
-def results_of(made: Mapping[str, MadeFile | None]) -> list[Result]:
+def list_outcomes(made: Mapping[str, MadeFile | None]) -> list[Result]:
     """Return the outcomes of files, without those that nobody came to."""
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
@@ -186,7 +186,7 @@ def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
 
 @cache
 def _library_identity(solver: str) -> str:
-    return available(solver).identity
+    return check_availability(solver).identity
 
 
 @cache

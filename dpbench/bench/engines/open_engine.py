@@ -9,7 +9,7 @@ from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.bench.workers.leases import lease_folder
 from dpbench.errors import InputError
-from dpbench.locks import Patience
+from dpbench.locks import WaitLimit
 
 ENGINES = ("local", "dask")
 
@@ -19,7 +19,7 @@ def open_engine(
     jobs: int | None = None,
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
-    patience: Patience = Patience(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
     """Open the engine of that name, for one campaign.
 
@@ -49,7 +49,7 @@ def open_engine(
     lease_folder()
     if name == "local":
         return LocalEngine(slots, patience)
-    if patience != Patience():
+    if patience != WaitLimit():
         raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.

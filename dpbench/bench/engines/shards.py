@@ -12,8 +12,13 @@ from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.machine import Revision, revision
-from dpbench.bench.record.result_folder import MachineDescription, read_json, validated, write_json
+from dpbench.bench.record.machine import Revision, current_revision
+from dpbench.bench.record.result_folder import (
+    MachineDescription,
+    parse_document,
+    read_json,
+    write_json,
+)
 from dpbench.bench.workers.jobs import (
     BATCH_CELLS,
     CellJob,
@@ -112,7 +117,7 @@ class ShardRecord:
     digest: str
     machine: MachineDescription
     harness_version: str = HARNESS_VERSION
-    revision: Revision = field(default_factory=revision)
+    revision: Revision = field(default_factory=current_revision)
 
     def write(self, folder: Path) -> None:
         """Write it into a folder."""
@@ -125,7 +130,7 @@ class ShardRecord:
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
             raise InputError("gather", "", found, allowed)
-        read = validated(read_json(path), _ShardFile, path)
+        read = parse_document(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
 

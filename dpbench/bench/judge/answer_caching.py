@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Floats, Ints
-from dpbench.bench.judge.rules import explained_by
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.judge.rules import explained_late_timings
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
 
 FEWEST_VISITS = 20
@@ -88,7 +88,9 @@ def _explained_visits(log: RawLog, r: int, later: Floats) -> int:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
     timed_share = 1e-9 * float(later.min(axis=0).sum()) / (counted["replay_s"] or float("nan"))
-    return explained_by(float(np.nan_to_num(counted["involuntary_switches"])), timed_share)
+    return explained_late_timings(
+        float(np.nan_to_num(counted["involuntary_switches"])), timed_share
+    )
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
@@ -123,7 +125,7 @@ def is_remembered(
     )
 
 
-_CONFIGURATION = ["scenario", *COLUMNS]
+_CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:

@@ -22,16 +22,16 @@ _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 """Size of the paper's QP; together a second and a half of waiting."""
 
 
-def off_by_ns(configuration: str, p50_ns: float) -> float:
+def excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
     """Return the measured time of a configuration beyond what it waits [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
 
-def within_bar(configuration: str, p50_ns: float) -> bool | None:
+def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
     """Return whether the measured median is right; None where its time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
-    return abs(off_by_ns(configuration, p50_ns)) <= max(
+    return abs(excess_over_wait_ns(configuration, p50_ns)) <= max(
         BAR_NS, BAR_SHARE * WAITS_NS.get(configuration, 0)
     )
 

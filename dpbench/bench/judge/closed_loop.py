@@ -21,17 +21,17 @@ from dpbench.bench.judge.control_metrics import (
 )
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
+from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import with_cell_formulation
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
-from dpbench.qp.referee.referee import Referee, claim_is_true, errors_of, referee_of
-from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
+from dpbench.qp.referee.referee import Referee, claim_is_true, get_shared_referee, measure_errors
+from dpbench.qp.residuals import TRUE_TOL, are_true, compute_residuals_of_many, fit_multipliers
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.controllers.controller import MetricGroup
-from dpbench.scenario.scenario import Scenario, scenario_once
+from dpbench.scenario.scenario import Scenario, cached_scenario
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -59,7 +59,7 @@ EVALUATION = (
 BATCH_SIZE = 128
 """Most answers that are evaluated together: some megabytes where n is 500."""
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
-_SOLVE = TIMES.index("solve")
+_SOLVE = PHASES.index("solve")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluated:
+class EvaluatedCell:
     """Arrays over the recorded rows of a cell, and the metrics of its run."""
 
     columns: Columns
@@ -118,7 +118,7 @@ class StepEvaluator:
         """Return the certified optimum of a step in scaled units."""
         if self._referee is None:
             qp = self._scaled
-            self._referee = referee_of(qp.P, qp.A, qp.lb, qp.ub)
+            self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
     def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
@@ -140,13 +140,13 @@ class StepEvaluator:
         self._waiting = []
         z, y, y_box = (_stack_attribute(answers, part) for part in ("z", "y", "y_box"))
         self._add_multipliers(own, z, y, y_box)
-        in_own = residuals_of_all(self._own, *_step_vectors(own), z, y, y_box)
+        in_own = compute_residuals_of_many(self._own, *_step_vectors(own), z, y, y_box)
         q, l, u = _step_vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
-            in_scaled = residuals_of_all(qp, q, l, u, z, y, y_box)
-        move, plan = errors_of(z, optima, qp.block, qp.moves)
+            in_scaled = compute_residuals_of_many(qp, q, l, u, z, y, y_box)
+        move, plan = measure_errors(z, optima, qp.block, qp.moves)
         levels = [are_true(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
         for i, answer in enumerate(answers):
             if answer.status.denies_optimum:
@@ -166,7 +166,7 @@ class StepEvaluator:
         """Write the best multipliers to answers whose solver gave none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
-            y[i], y_box[i] = best_multipliers(self._own.at(steps[i]), z[i], 1e-6)
+            y[i], y_box[i] = fit_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
@@ -193,9 +193,9 @@ def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
+def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     """Return the columns and metrics of a closed loop."""
-    scenario = with_cell_formulation(cell, scenario_once(cell.scenario).first(cell.steps))
+    scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
@@ -214,7 +214,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
         "command": scenario.controller.force(log.command[:done]).copy(),
     }
     if not done:
-        return Evaluated(columns, {})
+        return EvaluatedCell(columns, {})
     thrust = log.thrust[:done]
     columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
     columns |= _backup_columns(cell, scenario, log)
@@ -225,7 +225,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
-    return Evaluated(columns, metrics)
+    return EvaluatedCell(columns, metrics)
 
 
 def _controller_rebuild(

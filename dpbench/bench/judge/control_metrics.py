@@ -10,7 +10,7 @@ from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.mpc.thruster_rows import Limits
-from dpbench.scenario.controllers.controller import limit_tables
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import POSE, VELOCITY
 
@@ -162,7 +162,7 @@ def axis_limit_metrics(
     tau : (K, 3) applied forces; limits : of at least K samples.
     """
     du_max, before = scenario.problem.du_max, previous_forces(tau)
-    low, high = limit_tables(limits[: len(tau)])
+    low, high = stack_limits(limits[: len(tau)])
     near = AT_LIMIT * du_max
     at_amplitude = (tau >= high - near) | (tau <= low + near)
     # What the rate leaves of a limit that has just dropped is no violation.
@@ -183,7 +183,7 @@ def joint_limit_metrics(
     """Return such figures of a force limited by what its thrusters give together."""
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
-    low, high = limit_tables(limits[: len(tau)])
+    low, high = stack_limits(limits[: len(tau)])
     along, before = tau @ problem.G.T, previous_forces(tau) @ problem.G.T
     at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
     # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.

@@ -12,7 +12,7 @@ from dpbench.bench.judge.answer_caching import memory_metrics
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
-    Evaluated,
+    EvaluatedCell,
     StepEvaluator,
     common_columns,
     recorded_answer,
@@ -31,7 +31,7 @@ def evaluate_sequence(
     optima: Sequence[Optimum] | None = None,
     *,
     judged: bool = True,
-) -> Evaluated:
+) -> EvaluatedCell:
     """Return the evaluated columns of a replay of the sequence `own`.
 
     Parameters
@@ -55,7 +55,7 @@ def evaluate_sequence(
         columns[kernel] = getattr(log, kernel)[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
     metrics |= repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
-    return Evaluated(columns, metrics | memory_metrics(log))
+    return EvaluatedCell(columns, metrics | memory_metrics(log))
 
 
 def _recorded_steps(log: RawLog) -> Flags:

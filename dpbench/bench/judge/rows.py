@@ -9,11 +9,11 @@ import pandas as pd
 
 from dpbench.arrays import Flags
 from dpbench.bench.judge import rules, timing
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
-from dpbench.scenario.scenario import scenario_once
+from dpbench.bench.record.schema import MISSING_INT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
 
@@ -23,7 +23,7 @@ def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
-        columns[name] = pd.arrays.IntegerArray(column, column == ABSENT) if whole else column
+        columns[name] = pd.arrays.IntegerArray(column, column == MISSING_INT) if whole else column
     return as_steps(pd.DataFrame(columns))
 
 
@@ -33,7 +33,7 @@ def run_row(
     outcome: Outcome,
     library: Availability,
     machine_id: str,
-    evaluated: Evaluated | None,
+    evaluated: EvaluatedCell | None,
     steps: StepColumns | None,
     *,
     concurrency: int | None = None,
@@ -99,7 +99,7 @@ def _deadline_s(cell: Cell) -> float:
     """Return the budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
-    return cell.deadline_s or scenario_once(cell.scenario).sample_s
+    return cell.deadline_s or cached_scenario(cell.scenario).sample_s
 
 
 def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
@@ -116,11 +116,11 @@ def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
 
 
 def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
-    known, undecided = rules.decided(steps), steps["certificate"] == rules.UNDECIDED
+    known, undecided = rules.decided_steps(steps), steps["certificate"] == rules.UNDECIDED
     charged = rules.select_rows(steps, ~undecided)
-    moves = rules.errors(charged)
+    moves = rules.first_move_errors(charged)
     moves = moves[~np.isnan(moves)]
-    iterations = steps["iterations"][steps["iterations"] > ABSENT]
+    iterations = steps["iterations"][steps["iterations"] > MISSING_INT]
     bounds = steps["optimum_bound"]
     return {
         "claimed_share": _true_share(steps["claimed"]),
@@ -130,14 +130,14 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
         "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
         "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "primal_max": rules.largest(charged["primal"]),
-        "dual_max": rules.largest(charged["dual"]),
-        "optimum_bound_max": rules.largest(bounds[np.isfinite(bounds)]),
+        "primal_max": rules.largest_known(charged["primal"]),
+        "dual_max": rules.largest_known(charged["dual"]),
+        "optimum_bound_max": rules.largest_known(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
         "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
-        "iterations_p50": rules.median(iterations),
-        "iterations_max": rules.largest(iterations),
+        "iterations_p50": rules.median_known(iterations),
+        "iterations_max": rules.largest_known(iterations),
     }
 
 
@@ -145,8 +145,8 @@ def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
     """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
     charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
-        "error_move_max": rules.largest(rules.errors(charged)),
-        "error_plan_max": rules.largest(charged["error_plan"]),
+        "error_move_max": rules.largest_known(rules.first_move_errors(charged)),
+        "error_plan_max": rules.largest_known(charged["error_plan"]),
         "failed_steps": int(rules.failed_steps(steps).sum()),
     }
 
@@ -159,15 +159,15 @@ def _backup_columns(steps: StepColumns) -> dict[str, Any]:
     """Return the columns on a backup; none without one."""
     if "backup" not in steps:
         return {}
-    asked = steps["backup_ns"] > ABSENT
+    asked = steps["backup_ns"] > MISSING_INT
     times = steps["backup_ns"][asked].astype(np.float64)
     return {
         "backup_asked": int(asked.sum()),
         "backup_acted": int(steps["backup"].sum()),
         "backup_failures": int(steps["backup_failed"].sum()),
-        "backup_p50_ns": rules.median(times),
-        "backup_max_ns": rules.largest(times),
-        "backup_error_max": rules.largest(steps["backup_error"][asked]),
+        "backup_p50_ns": rules.median_known(times),
+        "backup_max_ns": rules.largest_known(times),
+        "backup_error_max": rules.largest_known(steps["backup_error"][asked]),
     }
 
 

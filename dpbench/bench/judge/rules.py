@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.qp.solution import Status
 
 StepColumns = dict[str, NDArray[Any]]
@@ -55,7 +55,7 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
     return bool(np.isnan(concurrency)) or (concurrency <= 1.0 and machine_id == of_folder)
 
 
-def explained_by(switches: float, timed_share: float) -> int:
+def explained_late_timings(switches: float, timed_share: float) -> int:
     """Return how many late timings involuntary context switches may explain.
 
     A switch comes at any moment of the process's own time. A process gets at least a quarter of a
@@ -104,25 +104,25 @@ def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
     return undisturbed if undisturbed.any() else rounds
 
 
-def supports(samples: int, percent: float) -> bool:
+def supports_percentile(samples: int, percent: float) -> bool:
     """Return whether at least `BEYOND` samples lie beyond a percentile."""
     return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
 
 
 def percentile(values: Floats, percent: float) -> float:
     """Return the percentile, or NaN when the samples do not support it."""
-    if not supports(len(values), percent):
+    if not supports_percentile(len(values), percent):
         return float(np.nan)
     return float(np.percentile(values, percent))
 
 
-def median(values: Floats | Sequence[float]) -> float:
+def median_known(values: Floats | Sequence[float]) -> float:
     """Return the median of the values that are not NaN; NaN where none is."""
     known = _without_nan(values)
     return float(np.median(known)) if len(known) else float(np.nan)
 
 
-def largest(values: Floats | Sequence[float]) -> float:
+def largest_known(values: Floats | Sequence[float]) -> float:
     """Return the largest of the values that are not NaN; NaN where none is."""
     known = _without_nan(values)
     return float(known.max()) if len(known) else float(np.nan)
@@ -133,7 +133,7 @@ def _without_nan(values: Floats | Sequence[float]) -> Floats:
     return array[~np.isnan(array)]
 
 
-def decided(steps: Steps) -> Flags:
+def decided_steps(steps: Steps) -> Flags:
     """Return the steps (N,) whose right answer is known: an optimum, or that there is none."""
     return ~_column_is_in(steps, "certificate", (UNCERTIFIED, UNDECIDED))
 
@@ -156,7 +156,7 @@ def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
     """
     if slowdown == 0.0:
         return steps
-    answered = select_rows(steps, steps["total_ns"] > ABSENT)
+    answered = select_rows(steps, steps["total_ns"] > MISSING_INT)
     return answered | {"fallback": unusable_steps(answered)}
 
 
@@ -167,14 +167,17 @@ def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
 
 def claimed_not_true(steps: Steps) -> Flags:
     """Return the steps (N,) claimed solved that are not, where the answer is known."""
-    return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided(steps)
+    return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided_steps(steps)
 
 
 def true_not_claimed(steps: Steps) -> Flags:
     """Return the steps (N,) with a true optimum that the solver did not claim."""
     said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
     return (
-        _flag_column(steps, "true") & ~_flag_column(steps, "claimed") & ~said_none & decided(steps)
+        _flag_column(steps, "true")
+        & ~_flag_column(steps, "claimed")
+        & ~said_none
+        & decided_steps(steps)
     )
 
 
@@ -189,7 +192,7 @@ def unfinished_steps(steps: Steps) -> Flags:
     return _column_is_in(steps, "status", _UNFINISHED)
 
 
-def errors(steps: Steps) -> Floats:
+def first_move_errors(steps: Steps) -> Floats:
     """Return the error (N,) of the first move of each step, in rate-limit steps.
 
     Of a cascade it is the larger of that of its force and that of its thrusters.

@@ -1,7 +1,7 @@
 """Columns of the steps of a cell: one array for each column of `steps.parquet`.
 
 Plain arrays, as data frames would take ten times as long as a loop of a hundred steps. A column
-that a run has not is left out; a missing integer is `ABSENT`.
+that a run has not is left out; a missing integer is `MISSING_INT`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from dpbench.bench.judge.closed_loop import (
     EVALUATION,
     SECOND_QP_PREFIX,
     Columns,
-    Evaluated,
+    EvaluatedCell,
 )
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import OF_SOLVER, TIMES
-from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
+from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
+from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
 from dpbench.bench.run.slow_computer import delay_of
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 
-SOLVER_PHASES = tuple(f"{phase}_ns" for phase in OF_SOLVER)
+SOLVER_COLUMNS = tuple(f"{phase}_ns" for phase in SOLVER_PHASES)
 """Columns of the phases of a solver."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
@@ -39,7 +39,7 @@ _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
 _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
-def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
+def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     """Return the columns of the recorded steps of a cell."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
@@ -57,7 +57,7 @@ def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
             "fallback": rules.unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
-    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
+    delay = delay_of(cell, cached_scenario(cell.scenario).sample_s)
     steps |= _backup_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:
@@ -85,7 +85,7 @@ def _backup_columns(columns: Columns) -> StepColumns:
     return {
         "backup": own["acted"],
         "backup_failed": own["asked"] & rules.unusable_steps(answers),
-        "backup_ns": step_time_ns({phase: answers[phase] for phase in SOLVER_PHASES}),
+        "backup_ns": step_time_ns({phase: answers[phase] for phase in SOLVER_COLUMNS}),
         "backup_error": answers["error_move"],
     }
 
@@ -95,7 +95,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
-        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, ABSENT)
+        times = np.where(asked[:, None] | (np.array(PHASES) == "overhead"), times, MISSING_INT)
     steps: StepColumns = {
         "repeat": columns["repeat"],
         "k": columns["k"],
@@ -103,7 +103,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
         "claimed": columns["status"] == Status.SOLVED,
         "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
     }
-    steps |= {f"{phase}_ns": _as_integers(times[:, i]) for i, phase in enumerate(TIMES)}
+    steps |= {f"{phase}_ns": _as_integers(times[:, i]) for i, phase in enumerate(PHASES)}
     steps |= {
         name: _as_integers(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")
     }
@@ -133,14 +133,14 @@ def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
         either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
         both["certificate"] = np.where(either, unknown, both["certificate"])
     waited = first["waited_ns"], second["waited_ns"]
-    both["waited_ns"] = np.where(np.minimum(*waited) > ABSENT, sum(waited), ABSENT)
-    both["allocation_ns"] = step_time_ns({phase: second[phase] for phase in SOLVER_PHASES})
+    both["waited_ns"] = np.where(np.minimum(*waited) > MISSING_INT, sum(waited), MISSING_INT)
+    both["allocation_ns"] = step_time_ns({phase: second[phase] for phase in SOLVER_COLUMNS})
     both["allocation_error"] = second["error_move"]
     return both
 
 
 def _as_integers(values: NDArray[Any]) -> Ints:
-    return np.maximum(values.astype(np.int64), ABSENT)
+    return np.maximum(values.astype(np.int64), MISSING_INT)
 
 
 def _ship_columns(columns: Columns) -> StepColumns:
@@ -155,13 +155,13 @@ def _ship_columns(columns: Columns) -> StepColumns:
 
 
 def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """Return the time (N,) of each step: its phases and a second QP; `ABSENT` without any phase."""
-    phases = [steps[phase] for phase in SOLVER_PHASES]
+    """Return the time (N,) of each step, a second QP included; `MISSING_INT` without a phase."""
+    phases = [steps[phase] for phase in SOLVER_COLUMNS]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)
     for part in parts:
         total += np.maximum(part, 0)
-    total[np.maximum.reduce(phases) < 0] = ABSENT
+    total[np.maximum.reduce(phases) < 0] = MISSING_INT
     return total
 
 

@@ -14,7 +14,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.bench.judge.control_metrics import AT_LIMIT, previous_forces
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.controller import limit_tables
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
@@ -86,7 +86,7 @@ def _limit_figures(
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
     unit, G = control.rows.units(step_max), control.rows.G
-    low, high = limit_tables(limits[: len(f)])
+    low, high = stack_limits(limits[: len(f)])
     lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
     near = AT_LIMIT * unit

@@ -10,16 +10,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, Evaluated
-from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
+from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, EvaluatedCell
+from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median_known, percentile
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 
 Steps = Mapping[str, NDArray[Any]]
 
 
-def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:
+def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dict[str, Any]:
     """Return step times over the steps that count; percentiles where samples support them."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
@@ -41,7 +41,7 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
         timing["solve_s"] = 1e-9 * float((raw - np.maximum(counting["waited_ns"], 0)).sum())
         for phase in ("emit", "overhead"):
             times_ns = counting[f"{phase}_ns"]
-            timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > ABSENT])
+            timing[f"{phase}_p50_ns"] = median_known(times_ns[times_ns > MISSING_INT])
         return timing | _cascade_times(counting)
     rounds, by_round = _values_by_round(counting, raw)
     best = np.nanmin(by_round, axis=0)
@@ -86,7 +86,7 @@ def reference_kernel_median(columns: Columns) -> float:
     """Return the median over rounds of the better reference kernel time [ns]."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
-    return median(best[np.isfinite(best)])
+    return median_known(best[np.isfinite(best)])
 
 
 def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
@@ -120,7 +120,7 @@ def deadline_columns(
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
     late = idle | (latency_ns > delay.budget_ns)
-    return {"late": late, "latency_ns": np.maximum(latency_ns, ABSENT)}
+    return {"late": late, "latency_ns": np.maximum(latency_ns, MISSING_INT)}
 
 
 def longest_streak(flags: Flags) -> int:
@@ -167,4 +167,4 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 def _drop_missing(times_ns: Ints) -> Floats:
     """Return the times that are not missing."""
-    return times_ns[times_ns > ABSENT].astype(np.float64)
+    return times_ns[times_ns > MISSING_INT].astype(np.float64)

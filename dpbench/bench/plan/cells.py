@@ -14,7 +14,7 @@ from dpbench.bench.plan.configurations import (
     Table,
     find_refusal,
     list_configurations,
-    module_of,
+    plugin_file,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -33,16 +33,16 @@ from dpbench.bench.record.cell import (
     RecordedSource,
 )
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.sequences.recording import digest, read_sequence
+from dpbench.bench.sequences.recording import read_sequence, source_digest
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
-from dpbench.scenario.scenario import vessel_files, vessel_of
+from dpbench.scenario.scenario import build_vessel, read_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
-NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
+SEMIDEFINITE_REFUSAL = "P is only semidefinite, and the solver needs P > 0"
 WINDOW_WARMUP_STEPS = 5
 """Of a window of the hardest steps: its configuration mostly has replayed another sequence."""
 NO_MODEL = "sparse: there is no model whose states to keep"
@@ -85,7 +85,7 @@ def plan_cell(
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
         limit_s=(own_limit_s or suite.cell_limit_s) + _waiting_s(configuration, **fields),
-        solver_module=module_of(configuration.solver),
+        solver_module=plugin_file(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
     )
@@ -160,7 +160,7 @@ def recorded_cells(
         path = sequence_path(table.sequence, beside)
         # Another installation has a stored sequence in another folder.
         origin = table.sequence if is_stored(table.sequence) else str(path)
-        sha256, sequence = digest(path), read_sequence(path).sequence
+        sha256, sequence = source_digest(path), read_sequence(path).sequence
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"
@@ -182,8 +182,8 @@ def capability_cells(
     ------
     InputError : for a vessel without thrusters or the hull that the plot needs.
     """
-    files = vessel_files(table.vessel, beside=beside)
-    cases = Frontier(vessel_of(files, table.vessel), table.sides).cases
+    files = read_vessel_documents(table.vessel, beside=beside)
+    cases = Frontier(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
     name = f"{files['vessel_name']} capability, {table.sides} sides"
     source = CapabilitySource(name, table.sides, **files)
@@ -195,8 +195,8 @@ def capability_cells(
 
 def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
     """Return the cell, refused if its solver needs P > 0."""
-    needs = record(planned.cell.solver).needs_strict_convexity
-    return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
+    needs = find_record(planned.cell.solver).needs_strict_convexity
+    return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:

@@ -16,13 +16,13 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, SettingsError, UnknownNameError, one_of
+from dpbench.errors import InputError, SettingsError, UnknownNameError, list_allowed
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import has_setting, setting_names, settings_matter
-from dpbench.solvers.table import TABLE, Availability, available, record, solver_names
+from dpbench.solvers.settings import has_setting, has_tolerance_levels, setting_names
+from dpbench.solvers.table import TABLE, Availability, check_availability, find_record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | CapabilityTable
@@ -45,11 +45,11 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
         for table in tables:
             if table.solvers and not set(_solvers_of_key(key, table.solvers)) & set(named):
                 found = ", ".join(table.solvers)
-                allowed = f"a solver of the suite: {one_of(found, named)}"
+                allowed = f"a solver of the suite: {list_allowed(found, named)}"
                 raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
     if baseline is not None and baseline not in named:
-        allowed = f"a solver of the suite: {one_of(baseline, named)}"
+        allowed = f"a solver of the suite: {list_allowed(baseline, named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:
@@ -74,12 +74,12 @@ def _expand_names(names: Sequence[str]) -> list[str]:
         if name == "all":
             chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
         else:
-            chosen.append(record(name).name)
+            chosen.append(find_record(name).name)
     return list(dict.fromkeys(chosen))
 
 
 def _is_default_solver(solver: str) -> bool:
-    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+    return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 
 def check_backup(name: str) -> tuple[str, str]:
@@ -93,10 +93,10 @@ def check_backup(name: str) -> tuple[str, str]:
     if not name:
         return "", ""
     (solver,) = _solvers_of_key("closed_loop.backup", [name]) if name != "all" else ("",)
-    if not solver or module_of(solver) or solver in CALIBRATION:
+    if not solver or plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
-    here = available(solver)
+    here = check_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
@@ -104,10 +104,10 @@ def library_identity(cell: Cell, library: Availability) -> str:
     """Return version and build of the library of a cell's solver, and of its backup's."""
     if not cell.backup:
         return library.identity
-    return f"{library.identity}, backup {available(cell.backup).identity}"
+    return f"{library.identity}, backup {check_availability(cell.backup).identity}"
 
 
-def module_of(solver: str) -> str:
+def plugin_file(solver: str) -> str:
     """Return the plug-in file that a worker has to load; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
@@ -133,12 +133,12 @@ def list_configurations(solvers: Sequence[str], table: Table) -> list[Configurat
     for units, formulation, policy, wanted, solver in product(
         table.units, table.formulations, table.policies, table.routes, solvers
     ):
-        row = record(solver)
+        row = find_record(solver)
         route: Route = row.default_route if wanted == "default" else wanted
         if route not in row.policies:
             continue
         names = [name for name in table.settings if has_setting(solver, name)]
-        if settings_matter(solver):
+        if has_tolerance_levels(solver):
             configurations += [
                 Configuration(solver, route, policy, name, units, formulation) for name in names
             ]
@@ -162,9 +162,9 @@ def _select_participants(solvers: Sequence[str], table: Table) -> list[str]:
 
 def find_refusal(configuration: Configuration) -> str:
     """Return why a configuration cannot run; "" where it can."""
-    here = available(configuration.solver)
+    here = check_availability(configuration.solver)
     if not here.ok:
         return here.reason
     policy = configuration.policy
-    reason = record(configuration.solver).refusal(configuration.route, policy)
+    reason = find_record(configuration.solver).refusal(configuration.route, policy)
     return f"policy {policy}: {reason}" if reason else ""

@@ -23,9 +23,9 @@ from dpbench.bench.plan.configurations import (
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
-from dpbench.bench.sequences.loop_sequences import steered_rows
+from dpbench.bench.sequences.loop_sequences import commanded_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.solvers.calibration import CALIBRATION
@@ -51,7 +51,7 @@ def plan(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = one_of(name, known) if known else "none, the suite has no scenario"
+            allowed = list_allowed(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)
@@ -210,7 +210,7 @@ def _consequence_cells(
     steps: int,
 ) -> list[PlannedCell]:
     """Return the cells of each failure group, without the harness's own configurations."""
-    thrusters, _ = steered_rows(scenario)
+    thrusters, _ = commanded_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from dpbench.bench.judge.rules import supports
+from dpbench.bench.judge.rules import supports_percentile
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import SuiteFile, load_suite, naming, sequence_suite
+from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors, sequence_suite
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import sequence_path
@@ -66,8 +66,8 @@ class RunRequest:
             load_solver_module(self.solver_module)
         name, path, document = self._load_request()
         chosen = {"scenarios": self.scenarios, "settings": self.settings}
-        document = with_choices(document, steps=self.steps, **chosen)
-        with naming(path, chosen=bool(self.settings)):
+        document = select_part(document, steps=self.steps, **chosen)
+        with name_file_in_errors(path, chosen=bool(self.settings)):
             cells = plan(
                 document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
             )
@@ -104,7 +104,7 @@ class RunRequest:
         raise InputError("run", "", found, "a suite, or --sequence PATH")
 
 
-def with_choices(
+def select_part(
     suite: SuiteFile,
     *,
     scenarios: Sequence[str] | None = None,
@@ -165,7 +165,7 @@ def plan_remarks(planned: Sequence[PlannedCell]) -> list[str]:
     """Return the limits of what the plan can answer."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
-    if lengths and not supports(max(lengths), 99):
+    if lengths and not supports_percentile(max(lengths), 99):
         return [
             f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
             "step is judged in its place"

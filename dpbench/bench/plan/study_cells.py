@@ -14,7 +14,13 @@ from dpbench.bench.record.cell import StudyRealisation
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import SEED, differ, value_of, varied, varied_files
+from dpbench.scenario.variation import (
+    SEED,
+    behave_differently,
+    documents_with_values,
+    read_value,
+    with_values,
+)
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
@@ -46,7 +52,7 @@ def _plan_study(
 ) -> list[PlannedCell]:
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
-    own = {key: value_of(base, key, where) for key in keys}
+    own = {key: read_value(base, key, where) for key in keys}
     points = list_points(table, own)
     scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)
@@ -115,12 +121,12 @@ class _ScenarioCache:
             return self._point[1].files, self._point[1].steps
         # A scenario in another sea need not be made to know that it can be.
         known = self._point[1]
-        return varied_files(known.files, point.of_replicate, self._where), known.steps
+        return documents_with_values(known.files, point.of_replicate, self._where), known.steps
 
     def at(self, values: Point) -> Scenario:
         """Return the scenario with these values of its keys."""
         if values != self._values:
-            self._scenario = varied(self._base, values, self._where, beside=self._beside)
+            self._scenario = with_values(self._base, values, self._where, beside=self._beside)
             self._values = values
         return self._scenario
 
@@ -165,7 +171,7 @@ def _may_differ(one: Scenario | None, other: Scenario | None, steps: int) -> boo
     """Return whether two runs can differ; None is a scenario that cannot be made."""
     if one is None or other is None or one.steps != other.steps:
         return True
-    return differ(one, other, min(steps or one.steps, one.steps))
+    return behave_differently(one, other, min(steps or one.steps, one.steps))
 
 
 def _two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:

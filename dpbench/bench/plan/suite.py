@@ -14,7 +14,7 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
+from dpbench.scenario.horizons import Horizons, check_distinct_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
@@ -109,7 +109,7 @@ class ReplayTable(RunsTable):
     """Only these of the suite's solvers; all where it is empty."""
     without: list[str] = []
     """All but these of the suite's solvers."""
-    horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
+    horizons: Annotated[list[str], AfterValidator(check_distinct_horizons)] = []
     """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
     """The first step that is replayed."""
@@ -270,7 +270,7 @@ class SuiteFile(FileModel):
 
 
 @contextmanager
-def naming(path: Path, *, chosen: bool = False) -> Iterator[None]:
+def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
     """Name the file in errors about "the suite", its scenarios and settings.
 
     Settings that were `chosen` on the command line are not the file's.

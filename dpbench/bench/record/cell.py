@@ -82,7 +82,7 @@ class ConsequenceSource(QPSource):
 
 @dataclass(frozen=True)
 class CapabilitySource(QPSource):
-    """The capability boundary of a ship (`vessel_files`), by polygons of some sides."""
+    """The capability boundary of a ship (`read_vessel_documents`), by polygons of some sides."""
 
     kind = "capability"
     is_timed = is_judged = False
@@ -122,7 +122,7 @@ _KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, Capabi
 SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
 
 
-def source_from(values: Mapping[str, Any]) -> QPSource:
+def parse_source(values: Mapping[str, Any]) -> QPSource:
     """Return the source of a description.
 
     Raises
@@ -288,7 +288,7 @@ class Cell:
     def from_json(cls, text: str) -> Cell:
         """Return the cell of a description."""
         values = json.loads(text)
-        values["source"] = source_from(values.get("source", {}))
+        values["source"] = parse_source(values.get("source", {}))
         if "study" in values:
             values["study"] = StudyRealisation(**values["study"])
         return cls(**values)

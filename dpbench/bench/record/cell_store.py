@@ -43,10 +43,10 @@ from dpbench.bench.record.step_table import (
     write_runs,
 )
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 from dpbench.files.row_groups import Footer, RowGroupWriter, read_footer
-from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import make_folder, new_file, put, write_bytes
+from dpbench.files.tables import decode_words, open_table
+from dpbench.files.writing import make_folder, new_file, replace_durably, write_bytes
 
 PART_CELLS = 256
 """Cells of a part that is made of others, at most."""
@@ -133,7 +133,7 @@ class Source(ABC):
     def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Return the readable row groups with steps of these runs."""
         footer = _footer(self.steps) if self.is_sound() else None
-        with suppress(*DAMAGE), opened_table(self.steps) as file:
+        with suppress(*DAMAGE), open_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
                     table = file.read_row_group(index, columns=["run_id"] if footer else None)
@@ -157,17 +157,17 @@ class PublicTables(Source):
 
     def rows(self) -> Iterator[pa.Table]:
         """Yield its rows of finished runs."""
-        with opened_table(self.runs) as file:
+        with open_table(self.runs) as file:
             # All columns, which tells whether they can be read, of some rows at a time, as the
             # descriptions of cells are long. Threads would cost more than they save.
             for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
-                table = in_full(pa.Table.from_batches([batch]), self.runs)
+                table = decode_words(pa.Table.from_batches([batch]), self.runs)
                 yield _select_finished(complete_runs(table))
 
     def names(self) -> list[str]:
         """Return the run_ids of all its rows, in order."""
         try:
-            with opened_table(self.runs) as file:
+            with open_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
         except DAMAGE:
             return []
@@ -183,7 +183,7 @@ class PublicTables(Source):
     def write(self, rows: pa.Table, steps: StepFile) -> None:
         """Put a file of steps in place, and then the rows."""
         steps.close()
-        put(steps.path, self.steps)
+        replace_durably(steps.path, self.steps)
         write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
@@ -204,7 +204,7 @@ class Part(Source):
         if not self.is_sound():
             raise ValueError("a damaged part")
         if self._rows is None:
-            with opened(self.steps) as file:
+            with open_regular_file(self.steps) as file:
                 columns = runs_in(pq.read_metadata(file).metadata)
             self._cells = len(columns["run_id"])
             self._rows = _select_finished(_parse_runs(columns))
@@ -224,7 +224,7 @@ class Part(Source):
             yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read)
 
     def _read(self) -> pa.Table:
-        with opened_table(self.steps) as file:
+        with open_table(self.steps) as file:
             return file.read_row_group(0)
 
     def remove(self) -> None:
@@ -235,7 +235,7 @@ class Part(Source):
 def _footer(path: Path) -> Footer | None:
     """Return the footer of a Parquet file; None where it is damaged."""
     try:
-        with opened(path) as file:
+        with open_regular_file(path) as file:
             return read_footer(file)
     except DAMAGE:
         return None
@@ -272,7 +272,7 @@ def _select_finished(runs: pa.Table) -> pa.Table:
 def _file_checksum(path: Path) -> int:
     """Return the CRC-32 of a file; of a missing one, that of nothing."""
     check = 0
-    with suppress(OSError, InputError), opened(path) as file:
+    with suppress(OSError, InputError), open_regular_file(path) as file:
         while block := file.read(2**20):
             check = zlib.crc32(block, check)
     return check
@@ -301,7 +301,7 @@ class StepFile:
         if not group.may_copy or group.footer is None:
             return False
         try:
-            with opened(group.path) as file:
+            with open_regular_file(group.path) as file:
                 self._writer.copy(file, group.footer, group.index)
         except (ValueError, KeyError, IndexError):
             return False

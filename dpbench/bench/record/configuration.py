@@ -8,9 +8,9 @@ from dpbench.bench.record.cell import Formulation, Units
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.record import LEVELS
 
-COMMON: Formulation = "condensed_box"
+COMMON_FORMULATION: Formulation = "condensed_box"
 """The formulation that solvers are compared in."""
-COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
+CONFIGURATION_COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
 """The columns of `runs.parquet` that name a configuration."""
 
 
@@ -26,7 +26,7 @@ class Configuration:
     policy: Policy
     settings: str = "default"
     units: Units = "scaled"
-    formulation: Formulation = COMMON
+    formulation: Formulation = COMMON_FORMULATION
     alias: tuple[str, ...] = field(default=(), compare=False)
 
     @property
@@ -43,14 +43,14 @@ class Configuration:
     def label_of(self, solver: str) -> str:
         """Return the label with another name of the solver, such as one with its version."""
         units = "" if self.units == "scaled" else f", {self.units}"
-        formulated = self.formulation not in (COMMON, "none")
+        formulated = self.formulation not in (COMMON_FORMULATION, "none")
         formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
         return f"{solver} ({self.options}{units}{formulation})"
 
     @property
     def in_common_formulation(self) -> Configuration:
         """The configuration in the common formulation of its problem (`Records.runs`)."""
-        return replace(self, formulation=COMMON)
+        return replace(self, formulation=COMMON_FORMULATION)
 
 
 def settings_level(settings: str) -> tuple[int, str]:

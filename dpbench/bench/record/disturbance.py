@@ -29,7 +29,7 @@ MAX_STEAL_SHARE = 0.01
 MAX_SWITCHES_PER_S = 10.0
 """At ten a second fewer than one in a hundred samples of 1 ms is hit, so a p99 is still a solver's;
 of shorter samples fewer are."""
-RULE = (
+QUIET_RULE = (
     f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds still disturbed after a second "
     "attempt, "
     f"steal time at most {100 * MAX_STEAL_SHARE:g} % of the replays' time, at most "
@@ -37,7 +37,7 @@ RULE = (
 )
 
 
-def counters() -> Floats:
+def read_counters() -> Floats:
     """Return the counters of `COUNTERS` (6,), of which only differences have a meaning.
 
     Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
@@ -133,7 +133,7 @@ class Disturbance:
         return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """Return the violations of `RULE`; none for a quiet machine."""
+        """Return the violations of `QUIET_RULE`; none for a quiet machine."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

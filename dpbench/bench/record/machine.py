@@ -119,9 +119,9 @@ WAIT_S = 10.0
 
 
 @cache
-def revision() -> Revision:
+def current_revision() -> Revision:
     """Return the revision of the running package."""
-    return checkout_revision(Path(__file__).parents[2]) or installed()
+    return checkout_revision(Path(__file__).parents[2]) or installed_revision()
 
 
 def checkout_revision(package: Path) -> Revision:
@@ -135,7 +135,7 @@ def checkout_revision(package: Path) -> Revision:
     return {"commit": commit, "clean": changes == ""}
 
 
-def installed() -> Revision:
+def installed_revision() -> Revision:
     """Return the commit that dpbench was installed from, as noted by its installer (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
@@ -150,7 +150,7 @@ def revisions(earlier: list[Revision], now: Revision) -> list[Revision]:
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 
-def revision_text(suite: SuiteDescription) -> str:
+def describe_revisions(suite: SuiteDescription) -> str:
     """Return the revisions of `suite.json` in words; "" where there are none."""
     named = [
         f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
@@ -159,10 +159,10 @@ def revision_text(suite: SuiteDescription) -> str:
     return f"commit {', '.join(named)}" if named else ""
 
 
-def made_by(suite: SuiteDescription) -> str:
+def describe_version(suite: SuiteDescription) -> str:
     """Return version and revisions of dpbench in `suite.json`."""
     version = f"dpbench {suite.get('harness_version', '')}"
-    return ", ".join(filter(None, (version, revision_text(suite))))
+    return ", ".join(filter(None, (version, describe_revisions(suite))))
 
 
 def _git(folder: Path, *words: str) -> str | None:

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import check_unpacked, opened
-from dpbench.files.writing import replaced, write_bytes
+from dpbench.files.opening import check_unpacked, open_regular_file
+from dpbench.files.writing import replace_file, write_bytes
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
@@ -58,7 +58,7 @@ DAMAGE = (
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to `path` in order, compressed, whole or not at all."""
-    with replaced(path) as part, zipfile.ZipFile(part, "w") as archive:
+    with replace_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
             member = io.BytesIO()
             np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
@@ -66,7 +66,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
             archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
-def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays into a result folder in one piece, whole or not at all."""
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
@@ -80,7 +80,7 @@ def _pad_array(array: bytes) -> bytes:
 
 
 def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
-    """Return the arrays of a file written by `keep`, as parts of `data`."""
+    """Return the arrays of a file written by `write_arrays`, as parts of `data`."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
         raise ValueError("another check sum than it was written with")
@@ -94,15 +94,15 @@ def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
 
 
 @contextmanager
-def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """Open the arrays written by `keep`, or those of a zip file, each read on access.
+def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """Open the arrays written by `write_arrays`, or those of a zip file, each read on access.
 
     Raises
     ------
     ResultsError : the file is missing or damaged; also for arrays the block looks for in vain.
     """
     try:
-        with opened(path, error=ResultsError) as file:
+        with open_regular_file(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
             file.seek(0)
             if is_own:
@@ -134,7 +134,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
     """
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
-    with opened(path, what) as file:
+    with open_regular_file(path, what) as file:
         try:
             with zipfile.ZipFile(file) as archive:
                 for member in _check_members(archive, path):
@@ -202,7 +202,7 @@ def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.d
     return dtype
 
 
-def float_array(
+def read_float_array(
     arrays: Arrays,
     where: str,
     name: str,
@@ -242,7 +242,7 @@ def float_array(
     return numbers
 
 
-def text_of(arrays: Arrays, where: str, name: str) -> str:
+def read_text_array(arrays: Arrays, where: str, name: str) -> str:
     """Return the text `name`; InputError where there is none."""
     array = arrays.get(name)
     if array is None:
@@ -253,7 +253,7 @@ def text_of(arrays: Arrays, where: str, name: str) -> str:
     return str(array)
 
 
-def count_of(arrays: Arrays, where: str, name: str) -> int:
+def read_count_array(arrays: Arrays, where: str, name: str) -> int:
     """Return the whole number `name`, 0 or more; InputError where there is none."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:

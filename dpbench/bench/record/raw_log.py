@@ -23,10 +23,10 @@ from dpbench.arrays import Floats, Ints
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array of a log, in their order."""
 _ALIGN = 64
-TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
+PHASES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
-_OWN = slice(TIMES.index("setup"), TIMES.index("read") + 1)
-OF_SOLVER = TIMES[_OWN]
+_OWN = slice(PHASES.index("setup"), PHASES.index("read") + 1)
+SOLVER_PHASES = PHASES[_OWN]
 """The phases that are the solver's: a step takes their sum."""
 
 ALLOCATION = "allocation."
@@ -117,7 +117,7 @@ def _answer_arrays(rounds: int, steps: int, n: int, m: int) -> Layout:
         "started": ("i8", (1,)),
         "setup_once_ns": ("i8", (1,)),
         "matrix_updates": ("i8", (rounds,)),
-        "times": ("i8", (rounds, steps, len(TIMES))),
+        "times": ("i8", (rounds, steps, len(PHASES))),
         "status": ("i8", (rounds, steps)),
         "iterations": ("i8", (rounds, steps)),
         "reported_ns": ("i8", (rounds, steps)),
@@ -235,13 +235,13 @@ class RawLog(AnswerLog):
 
 
 def step_ns(times: Ints) -> Ints:
-    """Return the time of steps [ns] (...) of their phases (..., `TIMES`)."""
+    """Return the time of steps [ns] (...) of their phases (..., `PHASES`)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 
 def spent_ns(phases_ns: Iterable[int]) -> int:
-    """Return the time of one step [ns] of its phases `OF_SOLVER`."""
+    """Return the time of one step [ns] of its phases `SOLVER_PHASES`."""
     return sum(ns for ns in phases_ns if ns > 0)
 
 
@@ -282,7 +282,7 @@ def is_whole(path: Path) -> bool:
     return True
 
 
-def discard(path: Path) -> None:
+def remove_log(path: Path) -> None:
     """Remove an evaluated log."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

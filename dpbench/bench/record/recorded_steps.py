@@ -26,10 +26,10 @@ from dpbench.bench.record.step_table import (
     plain_frame,
 )
 from dpbench.errors import ResultsError
-from dpbench.files.tables import opened_table
+from dpbench.files.tables import open_table
 
-ALL = tuple(STEP_COLUMNS)
-KEYS = {"run_id", "repeat", "k"}
+ALL_COLUMNS = tuple(STEP_COLUMNS)
+KEY_COLUMNS = {"run_id", "repeat", "k"}
 """The columns that name a step, without which a table is none of steps."""
 CACHED_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
@@ -55,7 +55,7 @@ class StepsInMemory:
         if len(some):
             yield some
 
-    def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
+    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return a slice of the table."""
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
@@ -66,7 +66,7 @@ class StepsInMemory:
 
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
-        return places_of(self._frame["run_id"])
+        return run_slices(self._frame["run_id"])
 
 
 class StepsOnDisk:
@@ -79,7 +79,7 @@ class StepsOnDisk:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "steps.parquet"
-        with readable(self._path), opened_table(self._path, error=ResultsError) as file:
+        with table_errors(self._path), open_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
         self._check(schema)
@@ -114,7 +114,7 @@ class StepsOnDisk:
         for table in self.tables(columns, run_ids):
             yield _as_frame(table, columns)
 
-    def of(self, run_id: str, columns: Sequence[str] = ALL) -> pd.DataFrame:
+    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return a run out of its row group, which stays in memory for its neighbours."""
         group = self._group_of.get(run_id)
         if group is None:
@@ -124,11 +124,11 @@ class StepsOnDisk:
 
     def frame(self) -> pd.DataFrame:
         """Return the whole file."""
-        tables = [_as_frame(table, ALL) for table in self.tables(ALL)]
+        tables = [_as_frame(table, ALL_COLUMNS) for table in self.tables(ALL_COLUMNS)]
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check(self, schema: pa.Schema) -> None:
-        missing = sorted(KEYS - self._stored)
+        missing = sorted(KEY_COLUMNS - self._stored)
         if missing:
             raise missing_columns_error(self._path, missing)
         for name in STEP_COLUMNS.keys() & self._stored:
@@ -138,12 +138,15 @@ class StepsOnDisk:
     @cached_property
     def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
         """Of each row group the first row of each run, and the row behind its last."""
-        with readable(self._path), pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file:
+        with (
+            table_errors(self._path),
+            pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file,
+        ):
             groups = [
                 file.read_row_group(group, columns=["run_id"])["run_id"]
                 for group in range(file.num_row_groups)
             ]
-            return [places_of(names.combine_chunks().to_pandas()) for names in groups]
+            return [run_slices(names.combine_chunks().to_pandas()) for names in groups]
 
     @cached_property
     def _group_of(self) -> dict[str, int]:
@@ -157,7 +160,7 @@ class StepsOnDisk:
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]
-        with readable(self._path), pq.ParquetFile(self._path, read_dictionary=strings) as file:
+        with table_errors(self._path), pq.ParquetFile(self._path, read_dictionary=strings) as file:
             table = file.read_row_group(group, columns=stored)
         for name in [name for name in asked if name not in self._stored]:
             table = table.append_column(name, absent_column(STEP_COLUMNS[name][0], len(table)))
@@ -198,7 +201,7 @@ def read_steps(
 
 
 @contextmanager
-def readable(path: Path) -> Iterator[None]:
+def table_errors(path: Path) -> Iterator[None]:
     """Raise errors of reading a table as `ResultsError`."""
     try:
         yield
@@ -223,7 +226,7 @@ def wrong_type_error(path: Path, which: str) -> ResultsError:
     )
 
 
-def places_of(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
+def run_slices(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
     """Return the first place of each of ordered labels (N,), and the one after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []

@@ -29,16 +29,16 @@ from dpbench.bench.record.recorded_steps import (
     StepsOnDisk,
     StepTable,
     missing_columns_error,
-    readable,
+    table_errors,
     wrong_type_error,
 )
-from dpbench.bench.record.schema import PREFIX, SCHEMA_VERSION, as_steps
+from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX, as_steps
 from dpbench.bench.record.step_table import complete_runs, frame_of_runs
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
-from dpbench.files.tables import in_full, opened_table
+from dpbench.files.tables import decode_words, open_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
-from dpbench.locks import Patience, holders, lock_folder
+from dpbench.locks import WaitLimit, describe_holders, lock_folder
 from dpbench.solvers.contract import Policy, Route
 
 _Kind = TypeVar("_Kind")
@@ -121,7 +121,7 @@ class SuiteDescription(TypedDict, total=False):
     study: list[StudyDescription]
 
 
-def validated(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
+def parse_document(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
     """Return the document of a file as a type; ResultsError, naming the key, for other types."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
@@ -194,10 +194,10 @@ class Results:
 
 
 @contextmanager
-def claimed(
+def lock_result_folder(
     folder: Path,
     suite: str,
-    patience: Patience = Patience(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
     """Lock a result folder for one campaign of `suite`, and make it where it is missing.
 
@@ -231,14 +231,14 @@ def claimed(
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            found = f"{folder} in use by a campaign: {holders(lock)}"
+            found = f"{folder} in use by a campaign: {describe_holders(lock)}"
             raise InputError(where, "", found, "to wait for it, or another folder") from error
-        with writing(folder, patience):
+        with lock_for_writing(folder, patience):
             yield
 
 
 @contextmanager
-def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
+def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterator[None]:  # noqa: B008 - frozen
     """Lock a folder against other campaigns and reports; a wait is reported on stderr.
 
     A missing folder, or one on a disk without locks, is not locked.
@@ -261,7 +261,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
-def accidents(out: Path) -> tuple[int, list[str]]:
+def read_accidents(out: Path) -> tuple[int, list[str]]:
     """Return the number of lost cells and designs of a result folder, and its remarks.
 
     Raises
@@ -303,19 +303,19 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
     """Return `machine.json` and `suite.json`; ResultsError, naming the file, for damage."""
     path = folder / "machine.json"
-    return validated(read_json(path), MachineDescription, path), read_suite(folder)
+    return parse_document(read_json(path), MachineDescription, path), read_suite(folder)
 
 
 def read_suite(folder: Path) -> SuiteDescription:
     """Return `suite.json`; ResultsError, naming file and key, where it is damaged."""
     path = folder / "suite.json"
-    return validated(read_json(path), SuiteDescription, path)
+    return parse_document(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
     path = folder / "runs.parquet"
-    with readable(path), opened_table(path, error=ResultsError) as file:
-        table = in_full(file.read(), path, error=ResultsError)
+    with table_errors(path), open_table(path, error=ResultsError) as file:
+        table = decode_words(file.read(), path, error=ResultsError)
     if missing := sorted({"run_id", "schema"} - set(table.column_names)):
         raise missing_columns_error(path, missing)
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
@@ -325,7 +325,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
         raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = frame_of_runs(complete_runs(table)).reset_index(drop=True)
-        keys = [name for name in table.column_names if name.startswith(PREFIX)]
+        keys = [name for name in table.column_names if name.startswith(STUDY_PREFIX)]
         runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
         raise wrong_type_error(path, str(error)[:80]) from error
@@ -342,7 +342,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
-def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
+def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 of those files of a folder that exist, by name."""
     found = {}
     for name in names:

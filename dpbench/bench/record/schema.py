@@ -18,13 +18,13 @@ DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
 """Type and meaning by name."""
 
-PREFIX = "x_"
+STUDY_PREFIX = "x_"
 """Of the columns that hold the values of a study's keys, before the key's dotted name."""
 
 POSE_AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
 AXIS_FORCES = ("x_N", "y_N", "n_Nm")
-ABSENT = -1
+MISSING_INT = -1
 """A whole number that is not there, in arrays that cannot say null."""
 
 STEP_COLUMNS: Columns = {
@@ -417,7 +417,7 @@ def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
     """Return `frame` with the columns and types of `runs.parquet`, then its columns x_<key>."""
     runs = as_columns(frame, RUN_COLUMNS)
-    keys = [name for name in frame.columns if name.startswith(PREFIX)]
+    keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
@@ -437,7 +437,7 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
-    values = {f"{PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
+    values = {f"{STUDY_PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
     return {
         "study": study["name"],
         "study_point": study["point"],

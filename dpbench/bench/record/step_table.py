@@ -22,14 +22,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dpbench.bench.record.schema import (
-    ABSENT,
+    MISSING_INT,
     RUN_COLUMNS,
     STEP_COLUMNS,
     Columns,
     DType,
     as_runs,
 )
-from dpbench.files.writing import new_file, put
+from dpbench.files.writing import new_file, replace_durably
 
 _ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),
@@ -108,8 +108,8 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
 
     Parameters
     ----------
-    steps : (N,) arrays by the names of `STEP_COLUMNS`; missing whole numbers are `ABSENT`, and an
-        absent column has no value in any row.
+    steps : (N,) arrays by the names of `STEP_COLUMNS`; missing whole numbers are `MISSING_INT`, and
+        an absent column has no value in any row.
     """
     rows = len(steps["k"])
     arrays = [_array(name, steps, rows) for name in STEPS_SCHEMA.names]
@@ -127,7 +127,7 @@ def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
         return absent_column(dtype, rows)
     values = steps[name]
     if dtype == "Int64":
-        return pa.array(values, pa.int64(), mask=values == ABSENT)
+        return pa.array(values, pa.int64(), mask=values == MISSING_INT)
     if dtype != "float64":
         return pa.array(values, _ARROW[dtype])
     numbers = np.ascontiguousarray(values, dtype=np.float64)
@@ -190,7 +190,7 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
     try:
         table = runs.replace_schema_metadata(dict(metadata))
         pq.write_table(table, part, compression="zstd", write_page_checksum=True)
-        put(part, path)
+        replace_durably(part, path)
     finally:
         part.unlink(missing_ok=True)
 

@@ -11,7 +11,7 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, QPBuilder, in_replay, loop_formulation
+from dpbench.bench.run.formulation import Box, QPBuilder, loop_formulation, replay_formulation
 from dpbench.bench.run.slow_computer import delay_of, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
@@ -19,7 +19,7 @@ from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Route, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 NO_LIMIT_NS = 2**62
 NewLog = Callable[[Layout], RawLog]
@@ -95,7 +95,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
     InputError where it cannot be opened.
     """
-    route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
+    route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
     return workspace
@@ -120,5 +120,5 @@ def replay_parts(
     InputError for "sparse" QPs that have no scenario.
     """
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
-    steps, formulated = in_replay(formulation, sequence)
+    steps, formulated = replay_formulation(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

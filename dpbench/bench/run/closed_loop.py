@@ -24,7 +24,7 @@ from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.environment import Drawn
+from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.layout import POSE
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
@@ -52,7 +52,7 @@ class ClosedLoopSetup:
     delay: ComputationalDelay | None = None
     usage: Usage = never_preempted
     allocating: TimedSolver | None = None
-    drawn: Drawn | None = None
+    drawn: WeatherDraw | None = None
     backup: Backup | None = None
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
-from dpbench.bench.record.npz import keep, kept
+from dpbench.bench.record.npz import open_arrays, write_arrays
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
 from dpbench.bench.run.formulation import Box, QPBuilder
@@ -28,10 +28,10 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import Referee, referee_of
+from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.environment import Drawn
+from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
 
@@ -59,7 +59,9 @@ class ExactWorkspace(Workspace):
         """Take the constant matrices."""
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
-        self._referee = self._referee.after(*matrices) if self._referee else referee_of(*matrices)
+        self._referee = (
+            self._referee.after(*matrices) if self._referee else get_shared_referee(*matrices)
+        )
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
@@ -109,7 +111,7 @@ class ExactLoop:
     optima: list[Optimum]
     demand: Matrix | None = None
     allocated: list[Optimum] = field(default_factory=list)
-    drawn: Drawn = field(default_factory=dict)
+    drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write to `path` (.npz)."""
@@ -120,14 +122,14 @@ class ExactLoop:
         if self.allocated:
             arrays |= _optima_to_arrays(self.allocated, ALLOCATED)
         arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
-        keep(path, arrays)
+        write_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
         """Read what `save` wrote; ResultsError where it is damaged or gone."""
-        with kept(path) as stored:
+        with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
-            demand, drawn = stored.get("demand"), drawn_of(stored)
+            demand, drawn = stored.get("demand"), stored_weather(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
                 _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
@@ -136,7 +138,7 @@ class ExactLoop:
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
 
 
-def drawn_of(stored: Mapping[str, NDArray[Any]]) -> Drawn:
+def stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
     """Return the precomputed weather of a stored loop."""
     names = [name for name in stored if name.startswith(_DRAWN)]
     return {name.removeprefix(_DRAWN): stored[name] for name in names}

@@ -55,7 +55,7 @@ def forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def peak_bytes_of(process: int | str = "self") -> float:
+def process_peak_bytes(process: int | str = "self") -> float:
     """Return the peak resident memory of a process [B]; NaN where it is gone."""
     return _read_status("VmHWM", process)
 
@@ -83,7 +83,7 @@ def limit_memory(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
-def prefer_for_killing() -> None:
+def mark_as_first_oom_victim() -> None:
     """Let the kernel end this process first when memory is full."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")

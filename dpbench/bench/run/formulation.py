@@ -44,7 +44,7 @@ class QPBuilder:
             self.staged = controller.build_sparse_qp(units, f"scenario {scenario.name}")
         self._emit = self.condensed.emit if self.staged is None else self.staged.emit
         N_p = controller.problem.N_p
-        self.reference: Matrix = scenario.reference_table(steps + N_p)
+        self.reference: Matrix = scenario.build_reference_table(steps + N_p)
         self._horizon = N_p if scenario.preview else 0
         self.allocation: AllocationQP | None = controller.build_allocation(units)
         self.limits = controller.limits(steps)
@@ -154,7 +154,7 @@ def loop_formulation(formulation: Formulation, builder: QPBuilder, base: Quadrat
     return Sparse(staged.problem(staged.emit(*at_rest)), staged.condensed)
 
 
-def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Box]:
+def replay_formulation(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Box]:
     """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
         return sequence, _condensed_formulation(formulation, sequence.base)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.disturbance import counters
+from dpbench.bench.record.disturbance import read_counters
 from dpbench.bench.record.raw_log import RawLog, spent_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
@@ -138,7 +138,7 @@ class ReplayRun:
         log.counters[r] = np.nan
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
-        before = counters()
+        before = read_counters()
         log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
         start_ns = clock()
         self._warm_caches(steps)
@@ -161,5 +161,5 @@ class ReplayRun:
         log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
-        np.subtract(counters(), before, out=log.counters[r])
+        np.subtract(read_counters(), before, out=log.counters[r])
         return True

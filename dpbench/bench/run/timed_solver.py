@@ -18,10 +18,10 @@ from types import FrameType
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
+from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES, AnswerLog
 from dpbench.bench.run.formulation import Box
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.solution import Solution, Status, is_plain, received
+from dpbench.qp.solution import Solution, Status, is_plain, sanitise_answer
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
@@ -29,9 +29,9 @@ STEP_SHARE = 0.25
 """Share of a cell's run time that one step may take."""
 MOST_HANGS = 3
 """Hanging steps after which a run ends."""
-HUNG = "did not return and was killed"
+HANG_DETAIL = "did not return and was killed"
 _OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
-_OWN = slice(TIMES.index(OF_SOLVER[0]), TIMES.index(OF_SOLVER[-1]) + 1)
+_OWN = slice(PHASES.index(SOLVER_PHASES[0]), PHASES.index(SOLVER_PHASES[-1]) + 1)
 
 
 class StepTimeLimitError(TimeoutError):
@@ -110,7 +110,7 @@ class TimedSolver:
             t3 = clock()
             # Looking at a plain answer is no work of the solver's; what any other does is.
             if not is_plain(solution, n, m):
-                solution = received(solution, n, m)
+                solution = sanitise_answer(solution, n, m)
                 t3 = clock()
         except MemoryError:
             # It is at its limit, where the harness would find no memory either.
@@ -174,8 +174,8 @@ class TimedSolver:
         """Return the answer to a step in which an earlier process hung and was killed."""
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
-        answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
-        self._count_detail(HUNG)
+        answer = Solution.missing(n, m, Status.TIME_LIMIT, HANG_DETAIL)
+        self._count_detail(HANG_DETAIL)
         return self._formulated.solution(answer)
 
 
@@ -263,7 +263,7 @@ class ResumedSolver(TimedSolver):
 
 
 @contextmanager
-def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
+def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
     """Raise `StepTimeLimitError` in a call of a workspace that takes longer than `limit_s` [s].
 
     It reaches what runs Python. No alarm goes off in a run that ends before; a step that began

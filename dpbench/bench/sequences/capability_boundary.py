@@ -7,7 +7,7 @@ from typing import Any
 
 from dpbench.bench.capability.batch import all_points, allocation_sequence
 from dpbench.bench.capability.frontier import Frontier
-from dpbench.bench.capability.study import Capability, capability_of
+from dpbench.bench.capability.study import Capability, compute_capability
 from dpbench.bench.capability.table import capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
@@ -17,13 +17,13 @@ from dpbench.ship.vessel import Vessel
 def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
     """Write the capability of a ship and the QPs at its edge, certified, to one file."""
     frontier = Frontier(vessel, sides)
-    capability = capability_of(frontier)
+    capability = compute_capability(frontier)
     points = all_points(frontier, capability)
     documents = {"capability": capability_columns(name, capability, points)}
     save_sequence(path, allocation_sequence(frontier, points), documents=documents)
 
 
-def capability_in(path: Path) -> dict[str, list[Any]] | None:
+def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
     """Return the plot that `make_capability_boundary` wrote; None where it is gone."""
     try:
         table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")

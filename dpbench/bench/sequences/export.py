@@ -11,7 +11,7 @@ from dpbench.bench.sequences import recording
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, steps_with_optimum
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
-from dpbench.qp.referee.referee import certified
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.scenario.horizons import Horizons, parse_horizons
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario
@@ -68,7 +68,7 @@ def export(
     return f"{written}: {about}{without}"
 
 
-def check_asked(options: dict[str, Any]) -> None:
+def check_export_options(options: dict[str, Any]) -> None:
     """Check that --all comes alone, or WHAT with --out; InputError for anything else."""
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
@@ -113,13 +113,13 @@ def _record_source(
         return _record_step(stored, at)
     sequence = recording.thin_sequence(stored.sequence, steps, every)
     # The optima of a file are certified again.
-    return replace(stored, sequence=sequence, optima=certified(sequence))
+    return replace(stored, sequence=sequence, optima=certify_sequence(sequence))
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
     """Return step k alone, certified."""
     sequence = recording.select_step(recorded.sequence, k)
-    return replace(recorded, sequence=sequence, optima=certified(sequence))
+    return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 
 
 def _read_horizons(text: str | None) -> Horizons | None:

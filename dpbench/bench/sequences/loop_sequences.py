@@ -29,7 +29,7 @@ from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.mpc.thrusters.static_allocation import LossAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
-from dpbench.scenario.controllers.controller import limit_tables
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -37,7 +37,7 @@ AVERAGE_S = 60.0
 """Time constant of the mean of the force [s]."""
 
 
-def steered_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
+def commanded_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
     """Return the commanded thrusters and their limits; InputError without any."""
     commanded = scenario.controller.commanded
     if commanded is None:
@@ -63,9 +63,9 @@ def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSeque
     ----------
     scenario : commands thrusters; tau : (K, 3) the force of its run [N, N, N·m].
     """
-    thrusters, rows = steered_rows(scenario)
+    thrusters, rows = commanded_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
-    low, high = limit_tables(scenario.controller.thruster_limits(len(tau)))
+    low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
     least, most, _ = rows.without(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.npz import DAMAGE, Arrays, float_array, read_npz
+from dpbench.bench.record.npz import DAMAGE, Arrays, read_float_array, read_npz
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
@@ -44,7 +44,7 @@ def _name_parts(text: str) -> list[tuple[int, int, str]]:
 def is_problem(path: Path) -> bool:
     """Return whether a file has the arrays of one problem, and no format of its own."""
     try:
-        with opened(path) as file, zipfile.ZipFile(file) as archive:
+        with open_regular_file(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
     except (OSError, *DAMAGE):
         return False
@@ -89,7 +89,7 @@ def read_problem(path: Path) -> QuadraticProgram:
     if len(shape) != 1 or shape[0] < 1:
         raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")
     n = shape[0]
-    P = float_array(arrays, where, "P", (n, n))
+    P = read_float_array(arrays, where, "P", (n, n))
     gap = np.abs(P - P.T)
     if gap.max() > SYMMETRIC * np.abs(P).max():
         i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
@@ -99,10 +99,10 @@ def read_problem(path: Path) -> QuadraticProgram:
     A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)
     lb, ub = (
-        float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
+        read_float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
         for name, sign, default in (("lb", "-", -free), ("ub", "+", free))
     )
-    q = float_array(arrays, where, "q", (n,))
+    q = read_float_array(arrays, where, "q", (n,))
     below = np.concatenate((np.full(len(h), -np.inf), b))
     return QuadraticProgram(
         0.5 * (P + P.T), q, np.vstack((G, A)), below, np.concatenate((h, b)), lb, ub
@@ -124,6 +124,6 @@ def _read_rows(
     shaped = arrays | {matrix: np.atleast_2d(arrays[matrix]), vector: arrays[vector].reshape(-1)}
     m = shaped[matrix].shape[0]
     return (
-        float_array(shaped, where, matrix, (m, n)),
-        float_array(shaped, where, vector, (m,), infinite=infinite),
+        read_float_array(shaped, where, matrix, (m, n)),
+        read_float_array(shaped, where, vector, (m,), infinite=infinite),
     )

@@ -18,11 +18,11 @@ from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certified
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.qp.referee.referee import certify_sequence
+from dpbench.scenario.scenario import Scenario, build_scenario
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
@@ -61,7 +61,7 @@ def record(
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
-    return Recorded(sequence, certified(sequence), units, {**scenario.files})
+    return Recorded(sequence, certify_sequence(sequence), units, {**scenario.files})
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
@@ -70,7 +70,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"
-    return scenario_of(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
+    return build_scenario(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
@@ -130,12 +130,12 @@ def read_sequence(path: Path) -> Recorded:
     return load_recorded(path)
 
 
-def digest(path: Path) -> str:
+def source_digest(path: Path) -> str:
     """Return the SHA-256 of a file, or of the files that `read_sequence` reads of a folder."""
     total = hashlib.sha256()
     try:
         for file in natural_order(path) if path.is_dir() else [path]:
-            with opened(file, WHAT) as stream:
+            with open_regular_file(file, WHAT) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())
                 while block := stream.read(2**20):

@@ -30,10 +30,17 @@ from zlib import ZLIB_RUNTIME_VERSION as ZLIB
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
+from dpbench.bench.record.npz import (
+    Arrays,
+    read_count_array,
+    read_float_array,
+    read_npz,
+    read_text_array,
+    write_npz,
+)
 from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, convert_units
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.scenario.problem_files import sequence_path
@@ -82,15 +89,15 @@ def save_sequence(
     Parameters
     ----------
     sequence : one in SI is written as its scaled form, with its units.
-    optima : those of `certified`, which finds them where they are not given.
+    optima : those of `certify_sequence`, which finds them where they are not given.
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
     if optima is None:
         # Reading a file takes no referee, whose kernels take longer to load than the file.
-        from dpbench.qp.referee.referee import certified
+        from dpbench.qp.referee.referee import certify_sequence
 
-        optima = certified(scaled)
+        optima = certify_sequence(scaled)
     base = scaled.base
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
@@ -145,7 +152,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if recorded.units is None:
         found = "1 for all: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
-    return in_own_units(recorded.sequence, recorded.units)
+    return convert_units(recorded.sequence, recorded.units)
 
 
 def load_recorded(path: str | Path) -> Recorded:
@@ -154,17 +161,18 @@ def load_recorded(path: str | Path) -> Recorded:
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
         raise InputError(where, name, "Python objects", "numbers or text")
-    texts = {name: text_of(arrays, where, name) for name in _TEXTS}
+    texts = {name: read_text_array(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
-    if (version := count_of(arrays, where, "version")) != FORMAT_VERSION:
+    if (version := read_count_array(arrays, where, "version")) != FORMAT_VERSION:
         raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
     q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
     sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
     _, n, m = sizes
     units = Units(
-        float_array(arrays, where, "unit_z", (n,)), float_array(arrays, where, "unit_row", (m,))
+        read_float_array(arrays, where, "unit_z", (n,)),
+        read_float_array(arrays, where, "unit_row", (m,)),
     )
     return Recorded(
         sequence,
@@ -182,13 +190,16 @@ def _read_sequence(
     shapes["u"] = (K, m)
 
     def read(key: str, name: str, shape: tuple[int, ...]) -> Any:
-        return float_array(arrays, where, name, shape, infinite=INFINITE.get(key, ""))
+        return read_float_array(arrays, where, name, shape, infinite=INFINITE.get(key, ""))
 
     vectors = {key: read(key, key, shapes[key]) for key in ("q", "l", "u")}
     matrices = {key: read(key, key, shapes[key]) for key in CONSTANT}
     names = {key: f"{key}_steps" for key in CONSTANT if f"{key}_steps" in arrays}
     steps = {key: read(key, name, (K, *shapes[key])) for key, name in names.items()}
-    block, moves = count_of(arrays, where, "block"), count_of(arrays, where, "moves")
+    block, moves = (
+        read_count_array(arrays, where, "block"),
+        read_count_array(arrays, where, "moves"),
+    )
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
         base = QuadraticProgram(**matrices, **first, block=block, moves=moves)
@@ -201,9 +212,9 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
     K, n, m = sizes
     shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
     columns: list[Any] = [
-        float_array(arrays, where, key, shape, nan=True) for key, shape in shapes.items()
+        read_float_array(arrays, where, key, shape, nan=True) for key, shape in shapes.items()
     ]
-    bound = float_array(arrays, where, "bound", (K,), infinite="+")
+    bound = read_float_array(arrays, where, "bound", (K,), infinite="+")
     if "certificate" not in arrays or arrays["certificate"].shape != (K,):
         raise InputError(where, "certificate", "nothing of that shape", f"shape {(K,)}")
     kinds = [str(kind) for kind in arrays["certificate"].tolist()]

@@ -22,29 +22,29 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
 )
-from dpbench.bench.record.npz import kept
+from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
 from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
+    commanded_thruster_rows,
     consequence_sequence,
     find_hardest_window,
-    steered_rows,
 )
-from dpbench.bench.sequences.recording import digest, read_sequence
+from dpbench.bench.sequences.recording import read_sequence, source_digest
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_sequence import random_sequence
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certified
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.scenario.problem_files import sequence_path
-from dpbench.scenario.scenario import scenario_once, vessel_of
+from dpbench.scenario.scenario import build_vessel, cached_scenario
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class ReplayInput:
     """The QPs of a replay, the time between them [s], and their optima if known."""
 
     sequence: QPSequence
@@ -52,16 +52,16 @@ class Replayed:
     optima: list[Optimum] | None
 
 
-_latest: dict[tuple[str, Path], Replayed] = {}
+_latest: dict[tuple[str, Path], ReplayInput] = {}
 
 
-def replayed(cell: Cell, path: Path) -> Replayed:
+def read_replay(cell: Cell, path: Path) -> ReplayInput:
     """Return the certified QPs of a replay, read once for all cells in a row that share them."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
         known = source_file(cell).load(path)
-        _latest[key] = replace(known, optima=known.optima or certified(known.sequence))
+        _latest[key] = replace(known, optima=known.optima or certify_sequence(known.sequence))
     return _latest[key]
 
 
@@ -76,7 +76,7 @@ def is_readable(cell: Cell, path: Path) -> bool:
 
 def log_size(cell: Cell, path: Path) -> int:
     """Return the size of a cell's raw log [B]; ResultsError without the file of its QPs."""
-    with kept(path) as stored:
+    with open_arrays(path) as stored:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
@@ -94,17 +94,17 @@ class _Loop:
     cell: Cell
 
     def make(self, path: Path) -> None:
-        solve_exactly(scenario_once(self.cell.scenario).first(self.cell.last_step)).save(path)
+        solve_exactly(cached_scenario(self.cell.scenario).first(self.cell.last_step)).save(path)
 
-    def load(self, path: Path) -> Replayed:
+    def load(self, path: Path) -> ReplayInput:
         cell = self.cell
-        scenario, exact = scenario_once(cell.scenario), ExactLoop.load(path)
+        scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
         first = cell.first
         if cell.is_window:
             first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
         sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
         optima = exact.optima[first : first + cell.steps]
-        return Replayed(sequence, scenario.sample_s, optima)
+        return ReplayInput(sequence, scenario.sample_s, optima)
 
     def check(self, path: Path) -> None:
         stored, needed = len(ExactLoop.load(path).theta), self.cell.last_step
@@ -121,8 +121,8 @@ class _Consequence(_Loop):
 
     source: ConsequenceSource
 
-    def load(self, path: Path) -> Replayed:
-        cell, scenario = self.cell, scenario_once(self.cell.scenario)
+    def load(self, path: Path) -> ReplayInput:
+        cell, scenario = self.cell, cached_scenario(self.cell.scenario)
         whole = consequence_sequence(scenario, ExactLoop.load(path).tau, self.source.group)
         last = cell.first + cell.steps
         sequence = replace(
@@ -132,21 +132,21 @@ class _Consequence(_Loop):
             meta=whole.meta | {"first": cell.first},
             **{name: getattr(whole, name)[cell.first : last] for name in ("q", "l", "u")},
         )
-        return Replayed(sequence, scenario.sample_s, None)
+        return ReplayInput(sequence, scenario.sample_s, None)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        thrusters, rows = steered_rows(scenario_once(self.cell.scenario))
+        thrusters, rows = commanded_thruster_rows(cached_scenario(self.cell.scenario))
         return thrusters.n_f, AXES + len(rows.low)
 
 
 class _Stored:
     """A sequence with its optima in a file of our own."""
 
-    def load(self, path: Path) -> Replayed:
+    def load(self, path: Path) -> ReplayInput:
         recorded = load_recorded(path)
         # Random QPs, and some that others recorded, follow each other by no known time.
         sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
-        return Replayed(recorded.sequence, sample_s, recorded.optima)
+        return ReplayInput(recorded.sequence, sample_s, recorded.optima)
 
     def check(self, path: Path) -> None:
         load_recorded(path)
@@ -163,7 +163,7 @@ class _Random(_Stored):
 
     def make(self, path: Path) -> None:
         sequence = random_sequence(self.source.recipe)
-        save_sequence(path, sequence, certified(sequence))
+        save_sequence(path, sequence, certify_sequence(sequence))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class _Capability(_Stored):
 
     def make(self, path: Path) -> None:
         source = self.source
-        vessel = vessel_of({"vessel_name": source.vessel_name, "vessel": source.vessel})
+        vessel = build_vessel({"vessel_name": source.vessel_name, "vessel": source.vessel})
         make_capability_boundary(path, vessel, source.sides, source.name)
 
 
@@ -186,7 +186,7 @@ class _Recorded(_Stored):
 
     def make(self, path: Path) -> None:
         origin = sequence_path(self.source.path)
-        actual, planned = digest(origin), self.source.sha256
+        actual, planned = source_digest(origin), self.source.sha256
         if actual != planned:
             allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"
             raise InputError(str(origin), "", f"SHA-256 {actual[:12]}…", allowed)

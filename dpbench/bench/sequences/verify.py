@@ -14,7 +14,7 @@ from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import each_certified
+from dpbench.qp.referee.referee import iterate_certified
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 
@@ -40,7 +40,7 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
         _check_active(path, claims)
     shown.start(len(sequence))
     optima = []
-    for k, optimum in enumerate(each_certified(sequence)):
+    for k, optimum in enumerate(iterate_certified(sequence)):
         if claims is not None:
             _check_step(where, k, sequence, claims[k], optimum)
         optima.append(optimum)

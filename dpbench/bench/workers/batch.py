@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import discard
+from dpbench.bench.record.raw_log import remove_log
 from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
@@ -145,7 +145,7 @@ class CellRun:
         if child.is_suspect:
             for cell in rest:
                 self.outcomes.pop(cell.name, None)
-                discard(self.folder / f"{cell.name}.raw")
+                remove_log(self.folder / f"{cell.name}.raw")
             rest = []
         if self._to_run and not rest:
             self._to_run = False

@@ -24,7 +24,7 @@ from typing import Any
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_whole
-from dpbench.bench.run.footprint import peak_bytes_of
+from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
@@ -32,7 +32,7 @@ from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
 from dpbench.kernel_cache import cache_folders
 from dpbench.solvers.own.adapters import WITH_KERNELS
-from dpbench.temporary_folders import keep_sockets
+from dpbench.temporary_folders import place_sockets_in_process_folder
 
 LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
 """Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
@@ -40,12 +40,12 @@ _LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.n
 """The index in the cache of what each of them compiles last."""
 
 
-def needed(solvers: Iterable[str]) -> list[str]:
+def needed_modules(solvers: Iterable[str]) -> list[str]:
     """Return the modules that cells of these solvers need; `LOOP`, which is the template, last."""
     return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
 
 
-def missing(modules: Sequence[str]) -> list[str]:
+def uncompiled_modules(modules: Sequence[str]) -> list[str]:
     """Return the modules that are not in Numba's cache on this machine yet."""
     folders = cache_folders()
     return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
@@ -107,8 +107,8 @@ def template_context(solvers: Iterable[str]) -> ForkServerContext:
     Its first call decides which of dpbench's own `solvers` the template has loaded; others load
     their kernels when opened.
     """
-    modules = needed(solvers)
-    absent = missing(modules)
+    modules = needed_modules(solvers)
+    absent = uncompiled_modules(modules)
     # A cell that did would lose its time to start; what is left over the template compiles itself.
     if OWN in absent:
         compile_in_processes(absent)
@@ -128,7 +128,7 @@ def _running_template() -> Iterator[None]:
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()
-            keep_sockets()
+            place_sockets_in_process_folder()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
             with block_sigint():
                 multiprocessing.forkserver.ensure_running()
@@ -229,7 +229,7 @@ class Child:
 
     def _resident_peak(self) -> float:
         """Return the peak of its memory so far [B]; 0 where it is gone."""
-        peak = peak_bytes_of(self.process.pid or 0)
+        peak = process_peak_bytes(self.process.pid or 0)
         return peak if peak == peak else 0.0
 
     def _was_stopped(self, now: float) -> bool:

@@ -20,7 +20,7 @@ from typing import Generic, Protocol, TypeVar
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import discard
+from dpbench.bench.record.raw_log import remove_log
 from dpbench.bench.record.step_table import BatchPart, batch_part, no_steps
 from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
@@ -31,7 +31,7 @@ from dpbench.bench.workers.leases import lease_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
-from dpbench.locks import ALONE, TOGETHER, Holder, Patience
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit
 
 POLL_S = 0.1
 """The end of a process is noticed at once; this is for what takes too long."""
@@ -141,7 +141,7 @@ class CellExecutor(ExitStack):
         modules: Mapping[str, str] | None = None,
         concurrency: int = 1,
         work: str = "a campaign",
-        patience: Patience = Patience(),  # noqa: B008 - frozen
+        patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     ) -> None:
         super().__init__()
         self._context, self._scratch, self.progress = context, scratch, progress
@@ -186,7 +186,7 @@ class CellExecutor(ExitStack):
         """Run a batch on the next core, while no campaign times replays on this machine."""
         self._idle.close()
         if not len(self._pool):
-            self._sharing.enter_context(self._lock_machine(TOGETHER))
+            self._sharing.enter_context(self._lock_machine(SHARED))
         self._pool.add(run)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
@@ -234,7 +234,7 @@ class CellExecutor(ExitStack):
         runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
         parts: list[BatchPart] = []
         unanswered = {job.run_id for job in stepped}
-        with self._lock_machine(TOGETHER):
+        with self._lock_machine(SHARED):
             for run in run_on_cores(runs, self._cores):
                 outcomes |= run.outcomes
                 parts += run.parts
@@ -279,9 +279,9 @@ class CellExecutor(ExitStack):
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
-            discard(folder / f"{run_id}.raw")
+            remove_log(folder / f"{run_id}.raw")
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
-        how = ALONE if self._concurrency == 1 else TOGETHER
+        how = EXCLUSIVE if self._concurrency == 1 else SHARED
         with self._lock_machine(how) as held, _avoid_core(core):
             for r in group.run():
                 self.progress.advance(share, f"replay {name}, round {r}")
@@ -316,7 +316,7 @@ class CellExecutor(ExitStack):
         times : whether replays will be timed, which takes all of the machine.
         """
         if self._patience.limit_s is not None:
-            with self._lock_machine(ALONE if times and self._concurrency == 1 else TOGETHER):
+            with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
@@ -364,7 +364,7 @@ class CellExecutor(ExitStack):
                     *about, None, None, concurrency=self._concurrency if job.cell.is_timed else None
                 )
                 without_steps[job.run_id] = row, no_steps()
-            discard(folder / f"{job.run_id}.raw")
+            remove_log(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
                 # What somebody else put in a file's place goes with the folder.
                 with suppress(OSError):

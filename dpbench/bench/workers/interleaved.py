@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from dpbench.bench.judge.rules import is_disturbed
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays
@@ -115,7 +115,7 @@ class IdleWorkers:
 
 def process_key(cell: Cell) -> tuple[str, ...]:
     """Return a key of replays that may share a process, one after the other."""
-    return (cell.solver_module, *(str(getattr(cell, name)) for name in COLUMNS))
+    return (cell.solver_module, *(str(getattr(cell, name)) for name in CONFIGURATION_COLUMNS))
 
 
 class ReplayGroup:

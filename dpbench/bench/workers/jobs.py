@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.solvers.table import Availability
 
@@ -162,7 +162,7 @@ def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
     """Return a key of the cells that may share a process with this one."""
-    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
+    return (cell.mode, cell.backup, *(getattr(cell, name) for name in CONFIGURATION_COLUMNS))
 
 
 def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:

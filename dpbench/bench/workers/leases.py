@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from dpbench.errors import InputError
-from dpbench.locks import FILE, Holder, Patience, lease, lock_file
+from dpbench.locks import FILE, Holder, WaitLimit, lock_file, try_lease
 
 
 def lease_folder() -> Path:
@@ -59,7 +59,7 @@ def lease_core() -> Iterator[int]:
     """
     cores, folder = sorted(os.sched_getaffinity(0)), lease_folder()
     for core in cores:
-        with lease(folder / f"core-{core}", FILE) as held:
+        with try_lease(folder / f"core-{core}", FILE) as held:
             if held:
                 yield core
                 return
@@ -70,7 +70,7 @@ def lease_machine(
     how: int,
     holder: Holder,
     *,
-    patience: Patience = Patience(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
     """Lock this machine, ALONE for timing or TOGETHER for all else.

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from dpbench.bench.run.footprint import peak_bytes_of, prefer_for_killing
+from dpbench.bench.run.footprint import mark_as_first_oom_victim, process_peak_bytes
 from dpbench.bench.workers import orphans
 
 OUTPUT_BYTES = 2**20
@@ -158,7 +158,7 @@ class SharedStatus:
         """Write the phase that ends the process, and the reason."""
         text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
-        _PEAK.pack_into(self._page, _PEAK_AT, peak_bytes_of())
+        _PEAK.pack_into(self._page, _PEAK_AT, process_peak_bytes())
         _HEAD.pack_into(self._page, 0, who, self.place, len(text))
 
     @property
@@ -227,7 +227,7 @@ def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]
     _process_status[:] = [notice]
     notice.begin()
     notice.output.take()
-    prefer_for_killing()
+    mark_as_first_oom_victim()
     try:
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here

@@ -16,9 +16,9 @@ from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.model import prediction_model
+from dpbench.mpc.model import build_prediction_model
 from dpbench.mpc.move_limits import limit_move
-from dpbench.mpc.reference import nearest_pose
+from dpbench.mpc.reference import unwrap_pose
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -34,8 +34,8 @@ def _prime() -> None:
         plant = Plant(ship, np.zeros(6), 0.1, loads=loads)
         plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     limit_move(three, three, three, -three, three, np.empty(3))
-    nearest_pose(three, three)
-    model = prediction_model(ship.M, ship.D, 0.0, 0.1)
+    unwrap_pose(three, three)
+    model = build_prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
     reference_kernel_ns(time.perf_counter_ns)
     # At a limit, so that the referee looks for the active set too.

@@ -18,19 +18,19 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.npz import kept
+from dpbench.bench.record.disturbance import read_counters
+from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, drawn_of
+from dpbench.bench.run.exact_loop import ExactLoop, stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
@@ -39,17 +39,17 @@ from dpbench.bench.run.footprint import (
     limit_memory,
     measure_steps,
     memory_bytes,
-    peak_bytes_of,
+    process_peak_bytes,
     threads,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import is_readable, replayed, source_file
+from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, step_alarm
+from dpbench.bench.sequences.source import is_readable, read_replay, source_file
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import Phase, begin_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
@@ -59,7 +59,7 @@ Hang = tuple[int, int]
 """Round, 0 in a closed loop, and step in which a process hung."""
 
 
-def settle() -> None:
+def disable_gc_and_warnings() -> None:
     """Ignore warnings and stop the garbage collector."""
     warnings.simplefilter("ignore")
     gc.collect()
@@ -67,7 +67,7 @@ def settle() -> None:
     gc.disable()
 
 
-def pin(core: int) -> None:
+def pin_to_core(core: int) -> None:
     """Stay on one core from now on."""
     os.sched_setaffinity(0, {core})
 
@@ -142,7 +142,7 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
         begin_output()
         forget_peak()
     else:
-        settle()
+        disable_gc_and_warnings()
     set_phase(Phase.OPENING)
     if not settled:
         limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
@@ -174,7 +174,7 @@ def _open_or_refuse(
 
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
     """Run the cells of one configuration, each with a raw log and a verdict of its own."""
-    pin(core)
+    pin_to_core(core)
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
         name = batch_cell.name
@@ -205,7 +205,7 @@ def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Run a closed loop in the weather of the reference loop; return the verdict."""
-    scenario = scenario_once(cell.scenario).first(cell.steps)
+    scenario = cached_scenario(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = closed_loop_setup(
@@ -213,14 +213,14 @@ def _run_closed_loop(
         )
     except InputError as error:
         return Outcome("refused", str(error))
-    with kept(source) as stored:
-        setup.drawn = drawn_of(stored)
-    before = counters()
+    with open_arrays(source) as stored:
+        setup.drawn = stored_weather(stored)
+    before = read_counters()
     set_phase(Phase.SOLVER)
-    with interrupting(STEP_SHARE * cell.limit_s, clock):
+    with step_alarm(STEP_SHARE * cell.limit_s, clock):
         complete = closed_loop(setup)
     set_phase(Phase.HARNESS)
-    np.subtract(counters(), before, out=setup.log.counters[0])
+    np.subtract(read_counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _make_outcome(cell, workspace, setup.solver, stopped)
 
@@ -235,7 +235,7 @@ def _replay_untimed(
         cell, workspace, raw, sequence, preroll=0, hung=hung
     )
     begin = hung[-1][0] if hung else 0
-    with interrupting(STEP_SHARE * cell.limit_s, clock):
+    with step_alarm(STEP_SHARE * cell.limit_s, clock):
         complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
     return _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
@@ -256,7 +256,7 @@ def _make_outcome(
         details.append(f"{count} × {words}")
     detail = "; ".join(filter(None, [*details, truncation_note()]))
     outcome = "timed_out" if stopped else "finished"
-    return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
+    return Outcome(outcome, detail, workspace.form, *timed_solver.size, process_peak_bytes())
 
 
 @dataclass(frozen=True)
@@ -311,11 +311,11 @@ def _serve_replay(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
     # Pinned only now, so that several workers can import their libraries side by side.
-    pin(core)
+    pin_to_core(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
-        with interrupting(STEP_SHARE * cell.limit_s, clock):
+        with step_alarm(STEP_SHARE * cell.limit_s, clock):
             complete = configuration.round(r)
         orders.send(complete)
     set_phase(Phase.HARNESS)
@@ -389,8 +389,8 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
     """Make the file behind a cell's QPs at `path` (.npz) if need be; leave a verdict."""
-    pin(core)
-    settle()
+    pin_to_core(core)
+    disable_gc_and_warnings()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
         if not is_readable(cell, path):
@@ -409,8 +409,8 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
     Their part appears in `folder` as `<name of the first>.judged`.
     """
-    pin(core)
-    settle()
+    pin_to_core(core)
+    disable_gc_and_warnings()
     judged: dict[str, tuple[Row, pa.RecordBatch]] = {}
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
@@ -433,9 +433,9 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
     return row, step_batch(steps)
 
 
-def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> Evaluated:
+def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
     if cell.mode == "replay":
-        known, judged = replayed(cell, source), cell.solver not in CALIBRATION
+        known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
     return evaluate_log(cell, log, _exact_loop(source))
 

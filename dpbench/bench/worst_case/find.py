@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.plan.configurations import module_of
+from dpbench.bench.plan.configurations import plugin_file
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.run.formulation import QPBuilder
@@ -27,7 +27,7 @@ from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.table import available, load_solver_module, record
+from dpbench.solvers.table import check_availability, find_record, load_solver_module
 
 BUDGET = 300
 STEPS = 60
@@ -172,7 +172,7 @@ def _replay_cell(
     solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
 ) -> Cell:
     """Return the replay of the scenario itself."""
-    row = record(solver)
+    row = find_record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
     return Cell(
@@ -185,7 +185,7 @@ def _replay_cell(
         steps=base.steps,
         rounds=1,
         warmup_steps=WARMUP_STEPS,
-        solver_module=module_of(solver),
+        solver_module=plugin_file(solver),
     )
 
 
@@ -195,7 +195,7 @@ def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
     facts = {
         "goal": worst_case.goal,
         "solver": cell.solver,
-        "solver_version": available(cell.solver).version,
+        "solver_version": check_availability(cell.solver).version,
         "route": cell.route,
         "policy": cell.policy,
         "settings": cell.settings,

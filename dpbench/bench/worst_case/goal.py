@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, WARM_UP
 from dpbench.qp.solution import Status
 
@@ -53,7 +53,7 @@ class Worst:
         return f"error_plan {self.error_plan:.2e} ({claim}{near})"
 
 
-def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
+def worst_of(evaluated: EvaluatedCell, goal: Goal) -> Worst | None:
     """Return the worst step of the counting rounds of a replay; None where no step has a figure.
 
     Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
@@ -91,7 +91,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     )
 
 
-def _error_objective(evaluated: Evaluated) -> Floats:
+def _error_objective(evaluated: EvaluatedCell) -> Floats:
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

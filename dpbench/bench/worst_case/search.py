@@ -17,7 +17,7 @@ from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
@@ -68,7 +68,7 @@ class SearchedSolver:
             where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
-    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
+    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
         """Replay a sequence in `limit_s`; return the outcome and the evaluated columns."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)

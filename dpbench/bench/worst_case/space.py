@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.ship.froude import Froude
 
 REACH = np.array([20.0, 20.0, np.radians(20.0)])
@@ -105,7 +105,7 @@ class SearchSpace:
             later = _time_of_share(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
-        return scenario_of(files, where=f"variant of {self._name}")
+        return build_scenario(files, where=f"variant of {self._name}")
 
 
 def _time_of_share(share: float, duration_s: float, sample_s: float) -> float:

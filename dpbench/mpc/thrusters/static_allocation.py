@@ -48,8 +48,8 @@ class StaticAllocation:
         self._rows = thruster_rows(ThrusterSet(round_ones, thrusters.where), sides)
         self._extra = [2 * int(has) + count for has, count in zip(sectors, chords, strict=True)]
         self._sectors = list(sectors)
-        self.units = balance_units(thrusters)
-        self._balance = balance_matrix(thrusters)
+        self.units = compute_balance_units(thrusters)
+        self._balance = build_balance_matrix(thrusters)
 
     def qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
@@ -83,7 +83,7 @@ class StaticAllocation:
         if self._sectors[i]:
             first = 2
             if piece.sector is not None:
-                normals[:2], low[:2] = sector_normals(*piece.sector), 0.0
+                normals[:2], low[:2] = compute_sector_normals(*piece.sector), 0.0
         cut = slice(first, first + len(piece.chords))
         normals[cut], high[cut] = piece.chords[:, :2], share * piece.chords[:, 2]
         A = np.zeros((count, self._thrusters.n_f))
@@ -102,8 +102,11 @@ class LossAllocation:
     """
 
     def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
-        self._units, self._thrust = balance_units(thrusters), thrusters.thrust_N[rows.thruster]
-        self._A = np.vstack([balance_matrix(thrusters), rows.G])
+        self._units, self._thrust = (
+            compute_balance_units(thrusters),
+            thrusters.thrust_N[rows.thruster],
+        )
+        self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
         """Return l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under row limits (K, r) [N]."""
@@ -116,19 +119,19 @@ class LossAllocation:
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
 
 
-def sector_normals(start: float, end: float) -> Matrix:
+def compute_sector_normals(start: float, end: float) -> Matrix:
     """Return inward normals (2, 2) of the sector between two directions [rad]."""
     return np.array([(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))])
 
 
-def balance_units(thrusters: ThrusterSet) -> Vector:
+def compute_balance_units(thrusters: ThrusterSet) -> Vector:
     """Return (3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
     total = float(thrusters.thrust_N.sum())
     return np.array([total, total, total * thrusters.longest_arm_m])
 
 
-def balance_matrix(thrusters: ThrusterSet) -> Matrix:
-    """Return T_e T over `balance_units`: (3, n_f)."""
+def build_balance_matrix(thrusters: ThrusterSet) -> Matrix:
+    """Return T_e T over `compute_balance_units`: (3, n_f)."""
     thrust = thrusters.per_entry(thrusters.thrust_N)
-    matrix: Matrix = thrusters.T_e * thrust / balance_units(thrusters)[:, np.newaxis]
+    matrix: Matrix = thrusters.T_e * thrust / compute_balance_units(thrusters)[:, np.newaxis]
     return matrix

@@ -30,7 +30,7 @@ ROUNDS = 12  # Each round of refinement gains some 53 − log₂ cond(K) bits; 1
 NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
-def met(problem: JointQP, z: Vector) -> Signs:
+def find_met_limits(problem: JointQP, z: Vector) -> Signs:
     """Return the limits that z meets, or oversteps, to within rounding."""
     value = problem.C @ z[: len(problem.q)]
     near = NEAR * (1.0 + np.abs(value))
@@ -38,7 +38,7 @@ def met(problem: JointQP, z: Vector) -> Signs:
     return np.where(upper, 1, np.where(lower, -1, 0)).astype(np.int8)
 
 
-def independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
+def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
     """Restrict `signs` to linearly independent rows of C, those in `first` taken first."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]

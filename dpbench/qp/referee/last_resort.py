@@ -43,7 +43,7 @@ from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
 from dpbench.qp.referee.feasibility.implied import drop_empty_rows, tighten_implied
-from dpbench.qp.referee.gap import TAU_EXPONENT, independent, met, refine
+from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, gamma, linear_certificate, positive_definite
@@ -293,7 +293,7 @@ class LastResort:
         """Prove the optimum from a guess; without proof return limits that leave no interior."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-        held = independent(problem.C, np.where(equal, equal, guess.signs), equal)
+        held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
         system = KKTSystem(problem.P, problem.C, held)
         z = guess.z
         if system.proven:
@@ -304,8 +304,8 @@ class LastResort:
             z = system.X @ system.rhs(problem.q, problem.L, problem.U)
         if z is None:
             return None, None
-        touched = np.where(equal, equal, met(problem, z))
-        all_held = independent(problem.C, np.where(held, held, touched), held)
+        touched = np.where(equal, equal, find_met_limits(problem, z))
+        all_held = select_independent(problem.C, np.where(held, held, touched), held)
         system = KKTSystem(problem.P, problem.C, all_held)
         inward = _inward_amounts(problem, system, touched)
         if inward is None:
@@ -325,7 +325,7 @@ class LastResort:
 
 def _explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
     """Return independent touched limits whose multipliers of the right sign explain z."""
-    touched = met(problem, z)
+    touched = find_met_limits(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
     free = problem.C[equal].T
@@ -344,7 +344,7 @@ def _explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
 
 
 def _solve_set(problem: JointQP, signs: Signs) -> Vector | None:
-    held = independent(problem.C, signs, signs)
+    held = select_independent(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]
     K = np.block([[problem.P, G.T], [G, np.zeros((len(rows), len(rows)))]])

@@ -63,7 +63,7 @@ from dpbench.qp.referee.feasibility.farkas import (
 )
 from dpbench.qp.referee.feasibility.implied import fix_forced
 from dpbench.qp.referee.feasibility.rounding import least_violation, refute
-from dpbench.qp.referee.gap import gap_certificate, independent, met
+from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
@@ -72,7 +72,7 @@ from dpbench.qp.referee.nearby import guess_nearby
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.oracle import guesses
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.residuals import best_multipliers
+from dpbench.qp.residuals import fit_multipliers
 from dpbench.qp.solution import Solution, Status
 
 WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
@@ -214,7 +214,7 @@ class Referee:
         if posed is problem:
             return self._split_proof(proof)
         try:
-            y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
+            y, y_box = fit_multipliers(self._program(problem), proof.z, 1e-9)
         except RuntimeError:
             # Non-negative least squares gave up: the optimum is valid without multipliers.
             y, y_box = np.full(self._m, np.nan), np.full(len(proof.z), np.nan)
@@ -253,7 +253,7 @@ class Referee:
                     break
         if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
             # Rows that depend on others exactly would make it begin with none.
-            start = independent(self._C, starts[-1], starts[-1])
+            start = select_independent(self._C, starts[-1], starts[-1])
             exact = rational_certificate(problem, self._exact_matrices(), start)
             proofs += [] if exact is None else [exact]
         return min(proofs, key=lambda p: (p.kind == "infeasible", p.bound), default=None)
@@ -264,13 +264,13 @@ class Referee:
             if not free.proven:
                 return None
             self._data.inverse = free.inverse_bounds()
-        held = independent(self._C, signs, signs)
+        held = select_independent(self._C, signs, signs)
         system = self._system(held)
         if not system.proven:
             return None
         # The point to rounding is enough to see which limits it touches.
-        touched = met(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
-        system = self._system(independent(self._C, np.where(held, held, touched), held))
+        touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
+        system = self._system(select_independent(self._C, np.where(held, held, touched), held))
         if not system.proven:
             return None
         return gap_certificate(problem, self._exact_matrices(), system, self._data.inverse)
@@ -332,7 +332,7 @@ class Referee:
         )
 
 
-def referee_of(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
     """Return a referee that answers like a new one.
 
     It shares the data of the same matrices in this thread: runs of one controller in many
@@ -353,21 +353,21 @@ def certify(qp: QuadraticProgram) -> Optimum:
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
-def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
+def measure_error(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
     """Return error_move, error_plan: max_i |z_i − z*_i| over the first block and over all.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
-    move, plan = errors_of(z[np.newaxis], [optimum], block, moves)
+    move, plan = measure_errors(z[np.newaxis], [optimum], block, moves)
     return float(move[0]), float(plan[0])
 
 
-def errors_of(
+def measure_errors(
     z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
 ) -> tuple[Vector, Vector]:
-    """Apply `error_of` to K answers z (K, n) and their optima: (K,) each."""
+    """Apply `measure_error` to K answers z (K, n) and their optima: (K,) each."""
     size = block or z.shape[1]
     error = np.abs(z - np.array([optimum.z for optimum in optima]))
     by_block = error.reshape(len(z), -1, size)[:, :, : moves or size]
@@ -378,7 +378,7 @@ def errors_of(
     return move, plan
 
 
-def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
+def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
     """Certify the optimum of one step after the other, for a sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
@@ -390,9 +390,9 @@ def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
         yield referee.certify(step.q, step.l, step.u)
 
 
-def certified(sequence: QPSequence) -> list[Optimum]:
+def certify_sequence(sequence: QPSequence) -> list[Optimum]:
     """Certify the optimum of every step, for a sequence in scaled units."""
-    return list(each_certified(sequence))
+    return list(iterate_certified(sequence))
 
 
 def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:

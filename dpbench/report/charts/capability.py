@@ -28,7 +28,7 @@ _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
 
-def rose(table: pd.DataFrame, title: str) -> Any:
+def draw_rose(table: pd.DataFrame, title: str) -> Any:
     """Draw the largest wind held by direction: ahead is up, a line a case, rings are DP numbers.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.

@@ -17,7 +17,7 @@ import psutil
 import vl_convert as vlc
 
 from dpbench.errors import InputError
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")
@@ -130,7 +130,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
 
 def save(chart: Any, path: Path) -> Path:
     """Write the figure in the format that the name of the file ends with, as `encoded` does."""
-    write_given(path, encode_figure(chart, path.suffix.lstrip(".")))
+    write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 

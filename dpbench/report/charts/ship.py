@@ -9,8 +9,8 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.kept_runs import MOST, extremes
-from dpbench.analysis.suites.paper import CIRCLE_M, Law, errors
+from dpbench.analysis.records.kept_runs import MOST, extreme_indices
+from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
 from dpbench.arrays import Vector
 from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
@@ -63,7 +63,7 @@ def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _long_table(
-            laws, lambda law, name=name: errors(law.steps, scenario.reference)[name]
+            laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
         )
         log = name == "radial"
         if log:
@@ -117,7 +117,7 @@ def _long_table(laws: Sequence[Law], value: Any) -> pd.DataFrame:
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
-        shown = extremes(values, _points_per_run(laws))
+        shown = extreme_indices(values, _points_per_run(laws))
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
 

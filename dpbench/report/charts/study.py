@@ -63,15 +63,16 @@ def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
 def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
     """Draw the excess error of each configuration: a dot a sea, the mean and its interval.
 
-    table : name and `mean_cm`, in the order of the rows; seas : name, behind_cm, point, replicate.
+    table : name and `mean_cm`, in the order of the rows.
+    seas : name, error_excess_cm, point, replicate.
     small_cm : half the width of the band of small differences.
     """
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error behind the reference, same sea [cm]"
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
-    behind_it = style.tip("behind_cm:Q", "behind [cm]")
+    behind_it = style.tip("error_excess_cm:Q", "behind [cm]")
     dots = dots.encode(
-        x="behind_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
+        x="error_excess_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
     bars, means = _draw_means(alt.Chart(table))
     parts = (
@@ -140,7 +141,7 @@ def design(*, tiles: bool) -> Any:
 def behind_there(small_cm: float) -> Any:
     """Draw the excess errors at the chosen point, and the means over all points.
 
-    The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, behind_cm,
+    The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, error_excess_cm,
     replicate, chosen).
     """
     who = style.tip("name:N", "configuration")
@@ -148,7 +149,7 @@ def behind_there(small_cm: float) -> Any:
     means = style.inline(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
     seas = style.inline(name="seas").mark_point(filled=True)
     seas = seas.encode(
-        x=alt.X("behind_cm:Q", title="95 % radial error behind the reference [cm]"),
+        x=alt.X("error_excess_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
         color=style.choose(_CHOSEN, style.FAIL, style.SOFT),
         size=style.choose(_CHOSEN, 90, 28),
@@ -156,7 +157,7 @@ def behind_there(small_cm: float) -> Any:
         tooltip=[
             who,
             alt.Tooltip("replicate:Q", title="sea"),
-            style.tip("behind_cm:Q", "behind [cm]"),
+            style.tip("error_excess_cm:Q", "behind [cm]"),
         ],
     )
     marked = style.whole_rows(

@@ -11,17 +11,17 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.compare.answers import ORDER, Answer, Range, compare_answers
-from dpbench.analysis.compare.pairs import Pairs, differences, pair_cells
+from dpbench.analysis.compare.pairs import Pairs, machine_differences, pair_cells
 from dpbench.analysis.compare.times import (
     Compared,
     Shared,
     Timing,
     compare_times,
     compare_to_reference,
+    find_unjudged_sequences,
     reference_rows,
     reference_solver,
     time_pairs,
-    why_unjudged,
 )
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import disturbance_of, timed_runs
@@ -286,7 +286,7 @@ def compare(
     results = load_results(a, without_steps=True), load_results(b, without_steps=True)
     views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
-    differ = differences(results[0].machine, results[1].machine)
+    differ = machine_differences(results[0].machine, results[1].machine)
     timings = time_pairs(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
@@ -310,7 +310,7 @@ def _compare_times(
     if bare and timings:
         wording.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
     if not solver:
-        unjudged = why_unjudged(*views, timings)
+        unjudged = find_unjudged_sequences(*views, timings)
         return *compare_times(timings, margin, alpha, unjudged), wording
     rows = reference_rows(timings, solver)
     known = [timings[row] for row in dict.fromkeys(rows.tolist()) if row >= 0]

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.compare.times import Compared, Timing
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import pairs
 from dpbench.report.charts.style import ROW_STEP
@@ -50,7 +50,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         tables=[replace(t, shown=MOST_ROWS) for t in others],
         block="" if times is None else _pack_data(order, charts, times),
     )
-    write_given(path, text.encode())
+    write_named_file(path, text.encode())
     return path
 
 

@@ -11,15 +11,21 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import differences
-from dpbench.analysis.compare.releases import FIGURES, Histories, History, histories, release_table
+from dpbench.analysis.compare.pairs import machine_differences
+from dpbench.analysis.compare.releases import (
+    FIGURES,
+    Histories,
+    History,
+    compare_releases,
+    release_table,
+)
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import grouped
+from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.bench.judge.rules import largest
+from dpbench.bench.judge.rules import largest_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts import style
 from dpbench.report.formats import (
     MISSING,
@@ -64,7 +70,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     Parameters
     ----------
     folders : two or more, of the same suite, in any order; `steps.parquet` is not needed.
-    reference : as of `histories`.
+    reference : as of `compare_releases`.
 
     Raises
     ------
@@ -81,7 +87,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
         name: Records(load_results(folder, without_steps=True))
         for name, folder in zip(names, folders, strict=True)
     }
-    over = histories(records, reference)
+    over = compare_releases(records, reference)
     requirements = Requirements.of(next(iter(records.values())).suite)
     changed = _solvers_with_versions(over)
     lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
@@ -93,7 +99,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
     """Return, by solver, the histories of those with several versions."""
-    by_solver = grouped(histories.all, lambda history: history.run.solver)
+    by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
@@ -102,8 +108,10 @@ def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
-    errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
-    failed = " → ".join(_count_per_round(largest([r.failed_steps for r in side])) for side in sides)
+    errors = " → ".join(error_text(largest_known([r.error_move for r in side])) for side in sides)
+    failed = " → ".join(
+        _count_per_round(largest_known([r.failed_steps for r in side])) for side in sides
+    )
     versions = " → ".join(release.version for release in ends[0])
     times = _state_times(changed)
     return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
@@ -131,7 +139,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
         for name, view in records.items()
     ]
     machines = [view.machine for view in records.values()]
-    differ = {word: None for one in machines[1:] for word in differences(machines[0], one)}
+    differ = {word: None for one in machines[1:] for word in machine_differences(machines[0], one)}
     if differ:
         lines.append(f"the machines differ in {and_list(list(differ))}")
     if histories.reference:
@@ -241,7 +249,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
         tables=[table for table in releases.tables if table.rows],
         missing=MISSING,
     )
-    write_given(path, text.encode())
+    write_named_file(path, text.encode())
     return path
 
 

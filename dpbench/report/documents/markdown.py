@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable, Sequence
 
 from dpbench.analysis.records.run_steps import Measure
-from dpbench.analysis.records.worst_steps import WorstStep, value_at, worst_steps
+from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
 from dpbench.analysis.times.contrasts import paired_comparison
-from dpbench.analysis.verdict.fastest import best_of_each, fastest_first
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.errors import UnknownNameError, one_of
+from dpbench.errors import UnknownNameError, list_allowed
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -46,7 +46,7 @@ def report_markdown(report: Report) -> str:
     parts = [
         f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
         *map(markdown_line, [*lead, *wording]),
-        solver_table(data, best_of_each(data.verdicts)),
+        solver_table(data, best_verdict_by_solver(data.verdicts)),
         *map(markdown_line, after),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
@@ -99,7 +99,9 @@ MOST_CONFIGURATIONS = 3
 """Rows of the solver itself."""
 
 
-def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str, list[WorstStep]]:
+def compare_solver(
+    report: Report, solver: str, others: Sequence[str] = ()
+) -> tuple[str, list[WorstStep]]:
     """Compare one solver with others in `COMMENT_BYTES` of Markdown; also return its worst steps.
 
     others : solvers to compare with; by default those of `USUAL` that ran.
@@ -107,10 +109,10 @@ def beside(report: Report, solver: str, others: Sequence[str] = ()) -> tuple[str
     Raises InputError for a solver that was not run.
     """
     data, machine = report.data, report.recommendation.machine
-    best = {v.configuration.solver: v for v in best_of_each(data.verdicts)}
+    best = {v.configuration.solver: v for v in best_verdict_by_solver(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
-            raise UnknownNameError(option, "", repr(name), one_of(name, sorted(best)))
+            raise UnknownNameError(option, "", repr(name), list_allowed(name, sorted(best)))
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = worst_steps(data.records, solver)
@@ -163,7 +165,7 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
             _figure_text(step.measure, step.median),
             answer_text(step.step, 0),
             *(
-                _figure_text(step.measure, value_at(data.records, step, v.configuration))
+                _figure_text(step.measure, find_step_value(data.records, step, v.configuration))
                 for v in others
             ),
         )

@@ -16,10 +16,10 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
-from dpbench.bench.record.result_folder import Results, hashes, load_results, read_suite
+from dpbench.bench.record.result_folder import Results, hash_files, load_results, read_suite
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
-from dpbench.files.writing import replaced, write_text
+from dpbench.files.writing import replace_file, write_text
 from dpbench.report.formats import and_list, plural
 from dpbench.report.page.write import FILES
 from dpbench.scenario.problem_files import read_model
@@ -151,7 +151,7 @@ def prepare_folder(folder: Path, target: Path) -> None:
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
     for name in _files_to_send(folder):
-        with replaced(target / name) as part:
+        with replace_file(target / name) as part:
             shutil.copyfile(folder / name, part)
     started = str(read_suite(folder).get("started_utc", ""))[:10]
     if not (target / SENDER).is_file():
@@ -214,7 +214,7 @@ def _check_page(folder: Path) -> None:
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")
-    for name, sha in hashes(folder, _files_to_send(folder)).items():
+    for name, sha in hash_files(folder, _files_to_send(folder)).items():
         if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)

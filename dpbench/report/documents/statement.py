@@ -17,15 +17,15 @@ import vl_convert as vlc
 
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.machine import made_by
-from dpbench.bench.record.result_folder import Results, hashes
+from dpbench.bench.record.machine import describe_version
+from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import slower_text
-from dpbench.report.verdict_text import deployment_facts, judged_on, requirements_text
-from dpbench.report.words import document
+from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
+from dpbench.report.words import render_document
 from dpbench.solvers.settings import level_options
 
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
@@ -60,9 +60,9 @@ def write_statement(path: Path, folder: Path, results: Results, data: PageData) 
     """Write the statement as the name of the file ends: .pdf or .svg."""
     drawn = statement_svg(folder, results, data)
     if path.suffix == ".svg":
-        write_given(path, drawn.encode())
+        write_named_file(path, drawn.encode())
     elif path.suffix == ".pdf":
-        write_given(path, vlc.svg_to_pdf(drawn))
+        write_named_file(path, vlc.svg_to_pdf(drawn))
     else:
         raise InputError("--statement", "", str(path), "a file that ends in .pdf or .svg")
     return path
@@ -94,12 +94,12 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
     vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
-    return document(
+    return render_document(
         "statement",
-        made_by=made_by(results.suite),
+        made_by=describe_version(results.suite),
         c=c,
         v=chosen,
-        judged_on=judged_on(chosen),
+        judged_runs_text=judged_runs_text(chosen),
         version=", ".join(sorted({str(v) for v in versions if v})),
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
@@ -113,7 +113,7 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
             if data.state(data.index(c), p) == "pass"
         ],
         machine=defaultdict(str, results.machine),
-        hashes=hashes(folder, HASHED),
+        hashes=hash_files(folder, HASHED),
         suite=defaultdict(str, results.suite),
     )
 

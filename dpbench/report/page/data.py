@@ -10,13 +10,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from dpbench.analysis.records.kept_runs import FORCES, TRACK, KeptRun, Track, track_of
+from dpbench.analysis.records.kept_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
-from dpbench.analysis.statistics import none_of
-from dpbench.analysis.suites.study import Study, studies
-from dpbench.analysis.suites.study_pictures import behind_cm, mean_cm, worst_run
+from dpbench.analysis.statistics import upper_bound_of_none
+from dpbench.analysis.suites.study import Study, find_studies
+from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.report.formats import as_float
@@ -49,7 +49,7 @@ def study_document(
     return {
         "name": study.name,
         "radius_m": study.radius_m,
-        "none_of": none_of(study.realisations),
+        "upper_bound_of_none": upper_bound_of_none(study.realisations),
         "reference": place.get(study.reference, 0),
         "keys": [str(key) for key in study.points],
         "points": [int(point) for point in study.points.index],
@@ -66,7 +66,7 @@ def study_document(
             "sea": rows["replicate"].tolist(),
             "held": [int(held) for held in rows["held"]],
             "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
-            "behind_cm": _round_values(behind_cm(study, rows)),
+            "error_excess_cm": _round_values(error_excess_cm(study, rows)),
             "id": rows["run_id"].tolist(),
         },
     }
@@ -111,7 +111,7 @@ class PageData(RunMatrix):
     @cached_property
     def studies(self) -> list[Study]:
         """All studies."""
-        return studies(self.records)
+        return find_studies(self.records)
 
     @cached_property
     def study_documents(self) -> list[dict[str, Any]]:
@@ -131,17 +131,17 @@ class PageData(RunMatrix):
         return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
 
     @cached_property
-    def kept(self) -> dict[str, KeptRun]:
+    def kept(self) -> dict[str, ThinnedRun]:
         """Kept steps of every run with a counting step, by id, in the order of the steps file."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
-        kept: dict[str, KeptRun] = {}
+        kept: dict[str, ThinnedRun] = {}
         read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
             run = runs[run_id]
             limits = self._force_limits(run) if run.mode == "closed_loop" else None
-            track = None if limits is None else track_of(rows, limits, room.points)
-            kept[run_id] = KeptRun.of(steps, room.steps, track)
+            track = None if limits is None else thin_track(rows, limits, room.points)
+            kept[run_id] = ThinnedRun.of(steps, room.steps, track)
         return kept
 
     @property
@@ -197,7 +197,7 @@ class PageData(RunMatrix):
         return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
 
 
-def _hardest_steps(run: KeptRun, count: int) -> list[list[list[Any]]]:
+def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
     """Return the hardest steps by each measure: k, figure, status, claimed, true, active limits."""
     return [
         [

@@ -7,7 +7,11 @@ from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.solver_tables import configuration_columns
-from dpbench.analysis.verdict.fastest import best_of_each, family_of, known_record
+from dpbench.analysis.verdict.fastest import (
+    best_verdict_by_solver,
+    find_solver_record,
+    solver_family,
+)
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
@@ -35,9 +39,9 @@ def page_document(
     ]
     document: dict[str, Any] = {
         "solvers": {
-            name: {"family": family_of(name), "method": known.method if known else ""}
+            name: {"family": solver_family(name), "method": known.method if known else ""}
             for name in dict.fromkeys(c.solver for c in data.configurations)
-            for known in [known_record(name)]
+            for known in [find_solver_record(name)]
         },
         "configurations": columns_of(rows),
         "experiments": _describe_experiments(data, words),
@@ -70,7 +74,7 @@ def _describe_configuration(
         "p99_in": "" if v is None else v.p99_on,
         "error": None if v is None else number(v.error_move),
         "failed": None if v is None else v.failed_steps,
-        "timed_at": None if v is None else data.timed_at(v),
+        "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
         "call": call_text(c),
         **_describe_margin(data, c),
         **_longest_timing(data, c),
@@ -119,7 +123,7 @@ def _first_selection(
         "second": second,
         "best": {
             v.configuration.solver: data.index(v.configuration)
-            for v in best_of_each(data.verdicts)
+            for v in best_verdict_by_solver(data.verdicts)
             if data.index(v.configuration) >= 0
         },
         "experiment": experiment,

@@ -33,7 +33,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpbench.analysis.records.kept_runs import FORCES, KeptRun, Track, share
+from dpbench.analysis.records.kept_runs import FORCES, ThinnedRun, Track, common_length
 from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]
@@ -148,12 +148,12 @@ class Room:
     def of(cls, lengths: Sequence[int]) -> Room:
         """Share the page among runs of these lengths; short ones stay whole."""
         more = max(0, len(lengths) - MANY_RUNS)
-        points = share(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
-        steps = share(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        points = common_length(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = common_length(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
         return cls(steps, min(MOST_POINTS_EACH, points))
 
 
-def pack_steps(block: Block, run: KeptRun) -> dict[str, int]:
+def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     """Pack the steps of a run, element 0 for step `first`; steps not kept are missing."""
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1

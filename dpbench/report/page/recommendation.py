@@ -8,13 +8,18 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.times.contrasts import faster_but_open, paired_comparison
+from dpbench.analysis.times.contrasts import find_faster_inconclusive, paired_comparison
 from dpbench.analysis.times.machine import shortest_wait_ns
-from dpbench.analysis.verdict.fastest import SolverChoice, choose_solver, fastest_of, known_record
+from dpbench.analysis.verdict.fastest import (
+    SolverChoice,
+    choose_solver,
+    fastest_configuration,
+    find_solver_record,
+)
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text, unmarked
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
@@ -22,7 +27,7 @@ from dpbench.report.verdict_text import (
     clauses,
     deployment_facts,
     explain_no_recommendation,
-    judged_on,
+    judged_runs_text,
     paired_text,
     requirements_text,
     usual_time_text,
@@ -92,9 +97,9 @@ def build_recommendation(
     if baseline is not None:
         own = [c for c in known if c.solver == baseline]
         if not own:
-            solvers = one_of(baseline, list(dict.fromkeys(c.solver for c in known)))
+            solvers = list_allowed(baseline, list(dict.fromkeys(c.solver for c in known)))
             raise InputError("--baseline", "", repr(baseline), f"a solver that was run, {solvers}")
-        fastest = fastest_of(data.verdicts, baseline)
+        fastest = fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     return Recommendation(
         sentence=_recommendation_sentence(data, found),
@@ -119,8 +124,8 @@ def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
     lacks = "" if chosen.state == "pass" else f"; {unmarked(clauses(chosen.missing))}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_on(chosen)}{_no_solution(data, c)}, {usual_time_text(chosen)}, largest error of "
-        f"the first move {error_text(chosen.error_move)}{lacks}."
+        f"{judged_runs_text(chosen)}{_no_solution(data, c)}, {usual_time_text(chosen)}, "
+        f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
     )
 
 
@@ -169,7 +174,7 @@ def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     known = None if found.faster is None else found.faster.configuration.solver
     others = [
         verdict
-        for verdict in faster_but_open(data.records, data.verdicts, found.chosen)
+        for verdict in find_faster_inconclusive(data.records, data.verdicts, found.chosen)
         if verdict.configuration.solver != known
     ]
     for verdict in others[:MOST_INCONCLUSIVE]:
@@ -254,7 +259,7 @@ def call_text(c: Configuration) -> str:
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
         f'settings="{c.settings}")'
     )
-    if known_record(c.solver) is None or not has_setting(c.solver, c.settings):
+    if find_solver_record(c.solver) is None or not has_setting(c.solver, c.settings):
         return call
     options = level_options(c.settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
@@ -265,7 +270,7 @@ def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     """Yield code to paste by language; C where the solver's record describes it."""
     yield "Python", call_text(c)
     options = level_options(c.settings, c.solver)
-    known = known_record(c.solver)
+    known = find_solver_record(c.solver)
     names = known.project.c_settings if known else None
     if names is None:
         return

@@ -13,8 +13,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from dpbench.bench.record.machine import made_by, revision_text
-from dpbench.bench.record.result_folder import Results, hashes
+from dpbench.bench.record.machine import describe_revisions, describe_version
+from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, svg, vega
 from dpbench.report.glossary import topics as glossary
@@ -107,13 +107,13 @@ def page_html(
         listed=MOST_ROWS if len(results.runs) > MOST_ROWS else 0,
         run_count=len(results.runs),
         groups=list(GROUPS),
-        files=hashes(folder, FILES),
+        files=hash_files(folder, FILES),
         holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=software_citation(results),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
-        footer=f"{made_by(results.suite)}, run {started}; numpy {numpy}.",
+        footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",
         block=block,
     )
 
@@ -151,7 +151,7 @@ def software_citation(results: Results) -> str:
   title = {{dpbench: benchmark of QP solvers inside the model predictive controller of a dynamically
     positioned ship}},
   year = {{{results.suite.get("started_utc", "")[:4]}}},
-  howpublished = {{{", ".join(filter(None, (version, revision_text(results.suite))))}}},
+  howpublished = {{{", ".join(filter(None, (version, describe_revisions(results.suite))))}}},
 }}"""
 
 

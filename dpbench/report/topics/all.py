@@ -8,7 +8,7 @@ from dataclasses import replace
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.study import Study, studies
+from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
@@ -48,7 +48,7 @@ def topics_of(
         worst_case_topic(records),
         horizon_topic(records, requirements),
         slowdown_topic(records),
-        study_topic(studies(records) if known is None else known),
+        study_topic(find_studies(records) if known is None else known),
         random_topic(records),
         consequence_topic(records),
         capability_topic(records, capability),

@@ -24,7 +24,7 @@ from dpbench.report.charts.capability import (
     RIGHT_NOT,
     WRONG,
     answers,
-    rose,
+    draw_rose,
     shares,
     spans,
 )
@@ -91,7 +91,7 @@ def _capability_figures(plot: Plot) -> Iterator[Figure]:
         note = "; hollow where a solver made an untrue claim" if hollow else ""
         yield Figure(
             f"capability-{plot.vessel}",
-            rose(plot.edges, f"{plot.vessel}: largest wind held"),
+            draw_rose(plot.edges, f"{plot.vessel}: largest wind held"),
             "Each mark is an edge, with QPs before and beyond it that the referee judges"
             + note
             + ".",

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, State, is_of_paper, judged, laws_of
+from dpbench.analysis.suites.paper import PAPER, State, assess_claim, find_paper_runs, is_of_paper
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import forces, increments, path, precision
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
-from dpbench.report.words import beside, fill_template
+from dpbench.report.words import fill_template, read_words
 
 CITATION = """@misc{xia_dp_mpc,
   author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
@@ -34,7 +34,7 @@ DRAWN = (
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
     """Return the topic on the paper; None without the paper's own scenario."""
-    laws, scenario = laws_of(records), records.scenario(PAPER)
+    laws, scenario = find_paper_runs(records), records.scenario(PAPER)
     judged = claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
@@ -108,7 +108,7 @@ def _bracket_text(bracket: Bracket | None) -> str:
     return f"{rounded_down(bracket.holds_m)} – {rounded_up(bracket.fails_m)}"
 
 
-_WORDS = beside(__file__)
+_WORDS = read_words(__file__)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Claim:
 
 def claims(records: Records) -> list[Claim]:
     """Judge all claims, in the order of the paper."""
-    requested = [(text, judged(records, where, by)) for text, where, by in _WORDS["claims"]]
+    requested = [(text, assess_claim(records, where, by)) for text, where, by in _WORDS["claims"]]
     wording = _WORDS["found"]
     return [
         Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested

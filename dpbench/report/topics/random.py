@@ -54,7 +54,7 @@ def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
     return {
         "solver": solver,
         "steps": str(tally.steps),
-        "claimed and true": str(tally.told + tally.empty_right),
+        "claimed and true": str(tally.told + tally.right_refusals),
         "false claims": str(tally.wrong),
         "true, not claimed": str(tally.silent),
         "no answer": str(tally.nothing),

@@ -10,18 +10,18 @@ from math import isfinite
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.contrasts import (
     common_replays,
     fastest_forms,
-    paired,
+    match_steps,
     right_levels,
     route_gains,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
-from dpbench.bench.judge.rules import median, percentile
+from dpbench.bench.judge.rules import median_known, percentile
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import (
     MISSING,
@@ -55,7 +55,7 @@ def routes_topic(records: Records) -> Topic | None:
         return None
     wording = (
         "How many times as fast a step becomes, median over solvers and sequences: "
-        + "; ".join(f"{change} {significant(median(gain))}" for change, gain in gains.items())
+        + "; ".join(f"{change} {significant(median_known(gain))}" for change, gain in gains.items())
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
@@ -132,10 +132,10 @@ def race_topic(records: Records) -> Topic | None:
         return None
     rows, wording = [], []
     for run, *both in replays:
-        ratio = paired_ratio(*paired(*both))
+        ratio = paired_ratio(*match_steps(*both))
         options = run.configuration.options
         wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
-        p50 = [time_text(median(times.algo_ns)) for times in both]
+        p50 = [time_text(median_known(times.algo_ns)) for times in both]
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
@@ -155,13 +155,13 @@ def _median_tables(
     """Tabulate median step times by sequence: rows by `kept`, columns by `varied`."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
-    problems = grouped(replays, lambda run: (run.sequence, run.units))
+    problems = group_by(replays, lambda run: (run.sequence, run.units))
     for (sequence, units), of_problem in problems.items():
         columns = list(dict.fromkeys(varied(run) for run in of_problem))
         if len(columns) < 2:
             continue
         rows = []
-        for name, of_row in grouped(of_problem, kept).items():
+        for name, of_row in group_by(of_problem, kept).items():
             own = {varied(run): run for run in of_row}
             cells = (_median_text(records, own.get(column), requirements) for column in columns)
             rows.append((name, *cells))
@@ -185,7 +185,7 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
-    text = time_text(median(times.algo_ns))
+    text = time_text(median_known(times.algo_ns))
     return text if is_right(run, requirements) else f"{text} (not right)"
 
 
@@ -225,7 +225,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
         time_text(steps.time_ns[i]),
         time_text(float(np.median(steps.time_ns))),
         count_text(steps.iterations[i]),
-        count_text(median(steps.iterations)),
+        count_text(median_known(steps.iterations)),
         error_text(float(steps.error[i])),
         answer_text(steps, i),
     )
@@ -244,7 +244,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Return the topic on closed loops; None without one."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
-    by_name = grouped(steered, lambda run: run.configuration.in_common_formulation.label)
+    by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
     if not by_name:
         return None
     whole = {

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pandas.api.types import is_numeric_dtype
 
-from dpbench.analysis.statistics import none_of
+from dpbench.analysis.statistics import upper_bound_of_none
 from dpbench.analysis.suites import study_pictures as pictures
 from dpbench.analysis.suites.study import (
     ALPHA,
@@ -83,7 +83,7 @@ def _larger_errors_text(study: Study) -> str:
 
 def _share_with_bound(share: float, study: Study) -> str:
     """Format a share in percent; of none or all with its 95 % bound, by the rule of three."""
-    bound = 100 * none_of(study.realisations)
+    bound = 100 * upper_bound_of_none(study.realisations)
     wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
         wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
@@ -107,7 +107,7 @@ def _loosest_text(study: Study) -> str:
 
 def _study_figures(study: Study) -> Iterator[Figure]:
     name = study.name.replace("@", "-").replace("/", "-")
-    maps, whole = pictures.held_maps(study), pictures.fits(study)
+    maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Held within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
@@ -120,7 +120,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
     elif keys:
         chart = held_lines(maps, title, keys[0])
         yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
-    table, seas, seas_all = pictures.seas_behind(study)
+    table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
         chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
-from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
+from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, count_moves, find_sweeps
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
 from dpbench.report.charts.lines import lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
@@ -20,7 +20,7 @@ from dpbench.report.table import Table
 def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Show the growth of step times with the horizon; None where it was not varied."""
     figures, tables = [], []
-    all_sweeps = sweeps(records, requirements)
+    all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
         limit = f"{_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
@@ -28,7 +28,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
             name = swept.configuration.label
             growth = swept.growth
             points += [
-                {"name": name, "x": moves_of(h), "y": p.median_ns / 1e3, "good": p.right}
+                {"name": name, "x": count_moves(h), "y": p.median_ns / 1e3, "good": p.right}
                 for h, p in swept.timed.items()
             ]
             rows.append(
@@ -71,7 +71,7 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
         if not largest:
             wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
-        longest = max(largest.values(), key=moves_of)
+        longest = max(largest.values(), key=count_moves)
         who = [name for name, horizons in largest.items() if horizons == longest]
         some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, grouped
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.suites.consequence import (
     HELD,
     Analysis,
@@ -23,10 +23,10 @@ from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.steering import (
     Steering,
+    compare_commanded,
     is_about_thrusters,
     largest_ratio,
-    lost_late,
-    steering_of,
+    late_losses,
     thruster_control_loops,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -121,7 +121,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
-    steering = steering_of(records, requirements)
+    steering = compare_commanded(records, requirements)
     if not steering.with_thrusters:
         return None
     first = [_name_solver(chosen, requirements), _compare_with_forces(steering)]
@@ -148,7 +148,7 @@ def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
 
 def _compare_with_forces(steering: Steering) -> str:
     """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
-    before = steering.fine_with_forces
+    before = steering.passing_with_forces
     if not before:
         fine, run = len(steering.fine), len(steering.with_thrusters)
         wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
@@ -157,7 +157,7 @@ def _compare_with_forces(steering: Steering) -> str:
         wording += [f"not so: {_group_by_fault(steering, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
-    lost, where = steering.only_with_forces, and_list(list(steering.forces))
+    lost, where = steering.passing_with_forces_only, and_list(list(steering.forces))
     head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
     head += f"three forces ({where})"
     if not lost:
@@ -172,7 +172,7 @@ def _pass_verb(count: int) -> str:
 
 def _group_by_fault(steering: Steering, solvers: Sequence[str]) -> str:
     """List solvers with their fault, those of the same fault together."""
-    of_fault = grouped(solvers, lambda solver: steering.faults[solver])
+    of_fault = group_by(solvers, lambda solver: steering.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
@@ -183,7 +183,10 @@ def _state_offset_after_loss(
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
-        lost, own = lost_late(run), run.configuration.in_common_formulation == chosen.configuration
+        lost, own = (
+            late_losses(run),
+            run.configuration.in_common_formulation == chosen.configuration,
+        )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
             yield (
                 f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "

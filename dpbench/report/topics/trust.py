@@ -17,11 +17,11 @@ from dpbench.analysis.times.machine import (
     shortest_wait_ns,
     timed_runs,
 )
-from dpbench.bench.judge.calibration import off_by_ns, within_bar
+from dpbench.bench.judge.calibration import excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
-from dpbench.report.machine_verdict import disturbance_facts, machine_facts, own_switches
+from dpbench.report.machine_verdict import disturbance_facts, list_own_switches, machine_facts
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
@@ -52,11 +52,11 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
     below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
-    missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
+    missed = {n: p50 for n, p50 in measured.items() if is_within_tolerance(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
-    worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
+    worst = max(abs(excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
         f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
@@ -105,7 +105,7 @@ def trust_topic(records: Records) -> Topic | None:
     data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
-        *own_switches(timed),
+        *list_own_switches(timed),
     ]
     return Topic(
         id="trust",

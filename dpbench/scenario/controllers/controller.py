@@ -140,7 +140,7 @@ def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limit
     return limits
 
 
-def limit_tables(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
+def stack_limits(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
     """Return low and high (K, r) of the limits at K samples."""
     low, high, _ = zip(*limits, strict=True)
     return np.array(low), np.array(high)

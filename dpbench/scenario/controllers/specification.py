@@ -13,7 +13,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
-from dpbench.mpc.model import StateSpace, prediction_model
+from dpbench.mpc.model import StateSpace, build_prediction_model
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
@@ -112,7 +112,7 @@ class ControllerSpec:
     ) -> ControlProblem:
         """Return the problem of u with these limits and weights; the force is u, or T_e u."""
         ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
-        model = prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
+        model = build_prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
         if T_e is not None:
             model = StateSpace(model.A, model.B @ T_e, model.C)
         horizons = table.prediction_horizon, table.control_horizon

@@ -45,7 +45,7 @@ class Condition:
         return self.tp_s / 1.4049
 
 
-def condition_of_wind(wind_mps: float) -> Condition:
+def interpolate_condition(wind_mps: float) -> Condition:
     """Return waves and current of a wind, linear between the rows of the table, held above it.
 
     The standard has the rows alone; interpolation is ours.

@@ -63,7 +63,7 @@ class CapabilityHull:
     assumed: tuple[str, ...] = ()
 
 
-def folded(from_rad: float) -> float:
+def fold_angle(from_rad: float) -> float:
     """Return γ' in 0…π."""
     return abs(math.remainder(from_rad, 2.0 * math.pi))
 
@@ -71,7 +71,7 @@ def folded(from_rad: float) -> float:
 def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> Matrix:
     """Return surge, sway [N] and yaw [N·m] of wind, current and waves from γ [rad]: (3, 3)."""
     along, across = math.cos(from_rad), math.sin(from_rad)
-    side = folded(from_rad) / math.pi
+    side = fold_angle(from_rad) / math.pi
     L = hull.length_m
     air = 0.5 * AIR_DENSITY * condition.wind_mps**2
     wind_arm = hull.lateral_x_m + 0.3 * (1.0 - 2.0 * side) * L
@@ -94,7 +94,7 @@ def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> M
 def _drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
     """Return the wave drift in surge and sway [N]."""
     pressure = 0.09 * 0.5 * WATER_DENSITY * GRAVITY * condition.hs_m**2
-    Tz, turned = condition.zero_crossing_s, folded(from_rad)
+    Tz, turned = condition.zero_crossing_s, fold_angle(from_rad)
     ahead = 0.8 * hull.bow_angle_rad**0.45
     astern = 0.7 * min(max(hull.aft_fullness, 0.85), 1.15) ** 2
     h1 = ahead + turned / math.pi * (astern - ahead)

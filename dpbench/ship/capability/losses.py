@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.loads import CapabilityHull, folded
+from dpbench.ship.capability.loads import CapabilityHull, fold_angle
 from dpbench.ship.thrusters import Thruster
 
 MISCELLANEOUS = 0.9
@@ -37,7 +37,7 @@ def vented_share(
     screw = thruster.screw
     if screw is None or screw.height_m is None:
         return 1.0
-    turned = folded(from_rad)
+    turned = fold_angle(from_rad)
     abeam = 1.0 + 0.38 * min(turned, math.pi - turned) / math.pi
     aft = 1.0 + 0.4 * min(thruster.x_m, 0.0) / hull.length_m
     period = min(0.64 * math.sqrt(hull.length_m) / condition.zero_crossing_s, 1.0)

@@ -38,7 +38,7 @@ class Piece:
     chords: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def pieces(
+def convex_pieces(
     sector: tuple[float, float] | None,
     zones: Sequence[tuple[float, float]],
     dead: Sequence[Loss],

@@ -26,9 +26,9 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
+    describe_exception,
     missing_setup_error,
     shift_into,
-    words_of,
 )
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.record import SolverRecord
@@ -181,7 +181,7 @@ class NativeWorkspace(Workspace):
             self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
-        self._failure, self._unusable = words_of(error), True
+        self._failure, self._unusable = describe_exception(error), True
 
     def solve(self) -> None:
         """Solve; store whatever the library raises for `read`."""

@@ -21,9 +21,9 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
+    describe_exception,
     missing_setup_error,
     shift_into,
-    words_of,
 )
 from dpbench.solvers.one_sided import OneSidedForm
 
@@ -99,7 +99,7 @@ class QpsolversWorkspace(Workspace):
                     warnings.simplefilter("ignore")
                     self._answer = self._call()
         except BaseException as error:
-            self._failure = words_of(error)
+            self._failure = describe_exception(error)
 
     def _call(self) -> Any:
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)

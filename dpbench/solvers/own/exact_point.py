@@ -59,7 +59,7 @@ import scipy.linalg
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
-from dpbench.qp.referee.gap import independent, met
+from dpbench.qp.referee.gap import find_met_limits, select_independent
 from dpbench.qp.referee.joint import JointQP
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import EPSILON, WRONG
@@ -84,12 +84,12 @@ def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
     problem : with a positive definite P.
     z, lam : (n,), (N,) an answer and its multipliers.
     """
-    signs = np.where(lam == 0.0, met(problem, z), np.sign(lam)).astype(np.int8)
+    signs = np.where(lam == 0.0, find_met_limits(problem, z), np.sign(lam)).astype(np.int8)
     limit = np.where(signs > 0, problem.U, problem.L)
     near = np.flatnonzero(signs)
     if not np.isfinite(limit[near]).all():
         return inf
-    held = np.flatnonzero(independent(problem.C, signs, np.sign(lam).astype(np.int8)))
+    held = np.flatnonzero(select_independent(problem.C, signs, np.sign(lam).astype(np.int8)))
     if len(held) > LARGEST:
         return nan
     exact = _Moved.onto(problem, z, held, limit)
@@ -104,7 +104,7 @@ def is_regular(problem: JointQP, z: Vector) -> bool:
 
     Then rounding moves the vertex they make by little, and there is a z′ near z.
     """
-    return apart(problem.C[met(problem, z) != 0], STEEP)
+    return apart(problem.C[find_met_limits(problem, z) != 0], STEEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

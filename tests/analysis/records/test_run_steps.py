@@ -11,7 +11,7 @@ from dpbench.analysis.records.run_steps import (
     Measure,
     RunSteps,
     counting_of,
-    hardest,
+    find_hardest_steps,
     run_steps,
 )
 from dpbench.bench.record.schema import as_steps
@@ -89,7 +89,7 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
     for k, value in planted.items():
         steps.loc[steps["k"] == k, column] = value
     (run,) = _by_run(as_steps(steps)).values()
-    found = hardest(run, measure)
+    found = find_hardest_steps(run, measure)
     assert len(found) == 5
     assert [int(run.k[one.at]) for one in found[:2]] == list(planted)
     assert [one.value for one in found[:2]] == [float(v) for v in planted.values()]
@@ -99,8 +99,8 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
 def test_steps_without_a_figure_are_none_of_the_hardest(records: Any) -> None:
     records.loop("daqp", steps=20)
     (run,) = _by_run(records.results().steps).values()
-    assert np.isnan(run.iterations).all() and hardest(run, "iterations") == []
-    assert len(hardest(run, "time", count=3)) == 3
+    assert np.isnan(run.iterations).all() and find_hardest_steps(run, "iterations") == []
+    assert len(find_hardest_steps(run, "time", count=3)) == 3
 
 
 def test_the_status_is_what_was_said_where_the_error_is_largest(records: Any) -> None:

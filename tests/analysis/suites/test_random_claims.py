@@ -62,7 +62,7 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
     tally = RandomClaims(view).by("solver")[("osqp",)]
     assert (tally.steps, tally.missed, tally.lies) == (11, 6, 5)
     assert (tally.told, tally.silent, tally.nothing) == (2, 1, 1)
-    assert (tally.empty_right, tally.empty_wrong) == (1, 1)
+    assert (tally.right_refusals, tally.wrong_refusals) == (1, 1)
     assert tally.wrong == 6
 
 

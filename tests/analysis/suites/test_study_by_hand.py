@@ -13,9 +13,9 @@ from dpbench.analysis.suites.study import (
     PairedDifference,
     StudiedConfiguration,
     Study,
+    find_studies,
     mean_over_points,
     paired_difference,
-    studies,
 )
 
 LOST = math.nan
@@ -277,5 +277,5 @@ def test_the_studies_of_a_folder(records: Any) -> None:
     records.sea("scs", 0, 1, {"hs_m": 1.0})
     for name in ("calm", "plain", "other"):
         records.loop("daqp", study=name, study_point=0, replicate=1)
-    found = [(s.name, len(s.runs), s.radius_m) for s in studies(records.view())]
+    found = [(s.name, len(s.runs), s.radius_m) for s in find_studies(records.view())]
     assert found == [("seas", 2, 3.0), ("calm", 1, 4.0), ("plain", 1, 1.0), ("other", 1, 1.0)]

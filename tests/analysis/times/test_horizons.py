@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.analysis.times.horizon_sweep import SweptConfiguration, growth_exponent, sweeps
+from dpbench.analysis.times.horizon_sweep import SweptConfiguration, find_sweeps, growth_exponent
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.topics.sweeps import horizon_topic
 
@@ -66,7 +66,7 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
             _replay(records, solver, pair, median_us=10.0 * pair[1], spread=0.3, rounds=1)
         (configuration,) = (
             a
-            for s in sweeps(records.view(), REQUIREMENTS)
+            for s in find_sweeps(records.view(), REQUIREMENTS)
             for a in s.swept
             if a.configuration.solver == solver
         )
@@ -78,14 +78,14 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     """A fast way with wrong answers gives way to a slower one; both are in the sweep."""
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
-    (sweep,) = sweeps(records.view(), REQUIREMENTS)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     assert [configuration.configuration.options for configuration in sweep.best] == ["native reuse"]
     every = [configuration.configuration.options for configuration in sweep.swept]
     assert every == ["native warm", "native reuse"]
 
 
 def _best(records: Any) -> dict[tuple[str, str], SweptConfiguration]:
-    (sweep,) = sweeps(records.view(), REQUIREMENTS)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     return {(s.configuration.solver, s.configuration.formulation): s for s in sweep.best}
 
 
@@ -180,11 +180,11 @@ def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
 
 def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -> None:
     records.replay("daqp", "paper", steps=40)
-    assert sweeps(records.view(), REQUIREMENTS) == []
+    assert find_sweeps(records.view(), REQUIREMENTS) == []
     _replay(records, "daqp", (60, 10), steps=40)
     _replay(records, "osqp", (60, 10), steps=50)
-    assert sweeps(records.view(), REQUIREMENTS) == []
+    assert find_sweeps(records.view(), REQUIREMENTS) == []
     assert horizon_topic(records.view(), REQUIREMENTS) is None
     _replay(records, "daqp", (30, 5), steps=40)
-    (sweep,) = sweeps(records.view(), REQUIREMENTS)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     assert sweep.horizons == [(30, 5), (60, 10)]

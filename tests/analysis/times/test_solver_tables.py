@@ -13,8 +13,8 @@ from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.calibration import COPY_ONLY
-from dpbench.solvers.settings import setting_names, settings_matter
-from dpbench.solvers.table import record
+from dpbench.solvers.settings import has_tolerance_levels, setting_names
+from dpbench.solvers.table import find_record
 
 
 def _matrix(records: Any) -> RunMatrix:
@@ -166,10 +166,10 @@ def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> Non
         cell = planned.cell
         if cell.sequence.partition("[")[0] == sequence:
             assert cell.steps >= 1000
-            assert cell.route == record(cell.solver).default_route
+            assert cell.route == find_record(cell.solver).default_route
             names = (cell.settings, *planned.alias_settings)
             found.setdefault(cell.solver, set()).update(names)
     assert {"daqp", "osqp", "piqp", "quadprog"} <= set(found)
     for solver, names in found.items():
         assert names == set(levels) & set(setting_names(solver))
-    assert any(not settings_matter(solver) for solver in found)
+    assert any(not has_tolerance_levels(solver) for solver in found)

@@ -9,7 +9,7 @@ from dpbench.analysis.verdict.fastest import rank_configurations, rank_solvers
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import judged_on
+from dpbench.report.verdict_text import judged_runs_text
 
 REQUIREMENTS = Requirements()
 
@@ -46,7 +46,10 @@ def test_accuracy_in_closed_loop_is_claimed_only_where_one_was_run(records: Any)
     """Where no solver steered a ship, replays rank, and what is open is said."""
     records.replay("daqp", median_us=20.0)
     records.replay("daqp", median_us=5.0, route="native", policy="warm")
-    assert [judged_on(v) for v in rank_configurations(_found(records))] == ["1 replay", "1 replay"]
+    assert [judged_runs_text(v) for v in rank_configurations(_found(records))] == [
+        "1 replay",
+        "1 replay",
+    ]
     text = Report.of(records.results()).recommendation.sentence
     assert text.startswith("Nothing contradicts daqp (native, warm, default): right on every step")
     assert "of 1 replay" in text and "no closed loop was run" in text

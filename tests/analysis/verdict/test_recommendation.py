@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.fastest import (
-    best_of_each,
+    best_verdict_by_solver,
     choose_solver,
     deployment_blocker,
-    family_of,
+    fastest_configuration,
     fastest_first,
-    fastest_of,
-    known_record,
+    find_solver_record,
     rank_configurations,
     rank_solvers,
+    solver_family,
 )
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
@@ -97,7 +97,7 @@ def test_usual_settings_within_three_percent_are_chosen(
     """The default of the same route and policy is chosen up to 1.03 times the time."""
     best = _verdict("daqp", 100.0, settings="high")
     usual = _verdict("daqp", p99_ns, route=route, policy=policy)
-    found = fastest_of(_verdicts(usual, best), "daqp")
+    found = fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
@@ -128,7 +128,7 @@ def test_rounds_that_overlap_make_settings_alike(
     """Rounds of 10 to 20 ns overlap with rounds from 20 ns on or up to 10 ns."""
     best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 20.0))
     usual = _verdict("daqp", 150.0, rounds_ns=rounds_ns)
-    found = fastest_of(_verdicts(usual, best), "daqp")
+    found = fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
@@ -137,8 +137,8 @@ def test_without_a_p99_medians_are_compared() -> None:
     apart = {"rounds_ns": (1.0, 2.0)}
     best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0, **apart)
     usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0, rounds_ns=(3.0, 4.0))
-    assert fastest_of(_verdicts(usual, best), "daqp") is usual
-    assert fastest_of(_verdicts(usual, best), "piqp") is None
+    assert fastest_configuration(_verdicts(usual, best), "daqp") is usual
+    assert fastest_configuration(_verdicts(usual, best), "piqp") is None
 
 
 def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
@@ -189,10 +189,10 @@ def test_a_better_verdict_precedes_a_shorter_time(
 
 
 def test_a_solver_that_is_not_known_here() -> None:
-    assert known_record("nobody") is None
-    assert family_of("nobody") == "not stated"
+    assert find_solver_record("nobody") is None
+    assert solver_family("nobody") == "not stated"
     assert deployment_blocker("nobody") == "not in the table of this installation"
-    assert known_record("daqp") is not None and family_of("daqp") == "active set"
+    assert find_solver_record("daqp") is not None and solver_family("daqp") == "active set"
     assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
     assert deployment_blocker("qtqp") == "written in Python"
     assert deployment_blocker(BENCHMARK_CODE).startswith("own code of this benchmark")
@@ -211,7 +211,7 @@ def test_the_verdict_that_shows_each_solver() -> None:
         "e": _verdict("e", 90.0, state="inconclusive", replays=0, timed_on=""),
         "f": _verdict("f", 60.0, state="borderline"),
     }
-    found = best_of_each(
+    found = best_verdict_by_solver(
         _verdicts(
             _verdict("d", 10.0, state="pass", loops=0, doubts=(Finding("lost"),)),
             shown["d"],

@@ -19,9 +19,9 @@ from dpbench.analysis.verdict.findings import (
 from dpbench.analysis.verdict.requirements import (
     Requirements,
     cost_ratio,
+    has_survived,
     is_right,
     is_right_to_the_end,
-    survived,
 )
 from dpbench.analysis.verdict.verdict import verdicts_of
 
@@ -100,7 +100,7 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
     """A cost of exactly 1.1 times the exact cost survives; a violated limit does not."""
     figures = {"closed_loop_cost": cost, "exact_cost": 80.0, "limit_violations": violations}
     records.loop("daqp", **figures)
-    assert survived(only_run(records)) is kept
+    assert has_survived(only_run(records)) is kept
     assert cost_ratio(only_run(records)) == cost / 80.0
 
 
@@ -141,4 +141,4 @@ def test_the_cost_of_a_complete_loop(records: Any, done: int, ratio: float | Non
     (run,) = records.view().runs
     found = cost_ratio(run)
     assert math.isnan(found) if ratio is None else found == ratio
-    assert not survived(run)
+    assert not has_survived(run)

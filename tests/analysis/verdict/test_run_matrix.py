@@ -225,7 +225,7 @@ def test_the_replay_behind_a_p99(records: Any) -> None:
     (verdict,) = matrix.verdicts.references
     margin = matrix.margin(verdict.configuration)
     assert margin is not None and margin.factor == pytest.approx(60.0, rel=1e-3)
-    number = matrix.timed_at(verdict)
+    number = matrix.timed_experiment_index(verdict)
     assert number is not None and matrix.experiments[number] == Experiment(
         "replay", "paper", "scaled"
     )
@@ -235,7 +235,7 @@ def test_without_a_replay_no_p99_has_an_experiment(records: Any) -> None:
     records.loop("daqp", raw_max_ns=math.nan)
     matrix = _matrix(records)
     (verdict,) = matrix.verdicts.references
-    assert matrix.timed_at(verdict) is None
+    assert matrix.timed_experiment_index(verdict) is None
     assert matrix.margin(verdict.configuration) is None
     assert matrix.longest_timing(verdict.configuration) is None
 

@@ -10,10 +10,10 @@ import pytest
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.steering import (
     Steering,
+    compare_commanded,
     is_about_thrusters,
     largest_ratio,
-    lost_late,
-    steering_of,
+    late_losses,
     thruster_control_loops,
 )
 
@@ -57,8 +57,8 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
     assert steering.fine == ["a", "c"]
     assert steering.undecided == ["d", "e"]
     assert steering.missing == ["b", "f"]
-    assert steering.fine_with_forces == ["a", "b", "d"]
-    assert steering.only_with_forces == ["b"]
+    assert steering.passing_with_forces == ["a", "b", "d"]
+    assert steering.passing_with_forces_only == ["b"]
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     _with_thrusters(records, "piqp", outcome="hung", done=0)
     _with_thrusters(records, "scs", error=0.5)
     records.refused("ecos", "it takes no start", cell=THRUSTERS)
-    found = steering_of(records.view(), REQUIREMENTS)
+    found = compare_commanded(records.view(), REQUIREMENTS)
     assert found.forces == ("paper",)
     assert found.with_forces == {
         "daqp": "pass",
@@ -100,7 +100,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     }
     assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
-    assert (found.fine, found.only_with_forces) == (["daqp"], ["piqp"])
+    assert (found.fine, found.passing_with_forces_only) == (["daqp"], ["piqp"])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_the_fault_of_a_solver_is_that_of_all_its_configurations(
     """A configuration with both faults agrees with either; one that was refused has none."""
     records.loop("daqp", cell=THRUSTERS, **default)
     records.loop("daqp", cell=THRUSTERS, settings="high", **high)
-    assert steering_of(records.view(), REQUIREMENTS).faults == {"daqp": fault}
+    assert compare_commanded(records.view(), REQUIREMENTS).faults == {"daqp": fault}
 
 
 def _powered(records: Any, solver: str, scenario: str = "turn", **columns: Any) -> None:
@@ -199,15 +199,15 @@ def test_losses_in_the_second_half(at_s: list[float], lost: list[str]) -> None:
     """200 steps of 0.5 s are 100 s: every loss must be at 50 s or later, and before the end."""
     faults = [{"at_s": at, "lost": ["bow"]} for at in at_s]
     scenario = {"sample_s": 0.5, "faults": [{"at_s": 1.0, "lost": []}, {"at_s": 2.0}, *faults]}
-    assert lost_late(_run(scenario_files={"scenario": scenario}, steps_done=200)) == lost
+    assert late_losses(_run(scenario_files={"scenario": scenario}, steps_done=200)) == lost
 
 
 def test_all_that_one_fault_takes_is_lost() -> None:
     faults = [{"at_s": 80.0, "lost": ["group 1", 2]}, {"at_s": 70.0, "lost": ["stern"]}]
     files = {"scenario": {"sample_s": 0.5, "faults": faults}}
-    assert lost_late(_run(scenario_files=files, steps_done=200)) == ["group 1", "2", "stern"]
+    assert late_losses(_run(scenario_files=files, steps_done=200)) == ["group 1", "2", "stern"]
 
 
 @pytest.mark.parametrize("files", [None, {}, {"scenario": {"faults": None}}])
 def test_a_loop_without_faults_loses_nothing(files: dict[str, Any] | None) -> None:
-    assert lost_late(_run(scenario_files=files, steps_done=200)) == []
+    assert late_losses(_run(scenario_files=files, steps_done=200)) == []

@@ -14,7 +14,7 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import clauses, counted, paired_text, requirements_text
+from dpbench.report.verdict_text import clauses, count_solvers, paired_text, requirements_text
 
 REQUIREMENTS = Requirements()
 
@@ -218,7 +218,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
     verdicts = verdicts_of(records.view(), REQUIREMENTS)
-    assert counted(verdicts) == "1 of 2 pass; borderline: osqp"
+    assert count_solvers(verdicts) == "1 of 2 pass; borderline: osqp"
 
 
 def test_high_settings_rescue(records: Any) -> None:
@@ -229,7 +229,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.replay("osqp", settings="high")
     verdicts = verdicts_of(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all] == ["fail", "pass"]
-    assert counted(verdicts) == "0 of 1 pass; only otherwise: osqp (qpsolvers fresh, high)"
+    assert count_solvers(verdicts) == "0 of 1 pass; only otherwise: osqp (qpsolvers fresh, high)"
 
 
 def _high(records: Any, **columns: Any) -> Any:
@@ -264,7 +264,7 @@ def test_a_level_meets_only_where_it_was_run(
     assert verdict.state == ("inconclusive" if clause else "pass")
     assert clause in _why(verdict)
     if clause:
-        assert counted(verdicts_of(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
+        assert count_solvers(verdicts_of(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def test_loops_under_any_policy_and_route_count_as_run(
     records.replay("daqp", route=route, policy=policy)
     records.loop("osqp", route=route, policy=policy, error=0.5)
     records.replay("osqp", route=route, policy=policy)
-    said = counted(verdicts_of(records.view(), REQUIREMENTS))
+    said = count_solvers(verdicts_of(records.view(), REQUIREMENTS))
     assert said == "1 of 2 pass; fail: osqp"
 
 
@@ -331,7 +331,7 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.replay("osqp")
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
-    said = counted(verdicts_of(records.view(), REQUIREMENTS))
+    said = count_solvers(verdicts_of(records.view(), REQUIREMENTS))
     assert said == "1 of 3 pass; fail: osqp; inconclusive: scs; not run: qpax"
 
 

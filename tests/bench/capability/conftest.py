@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
 from dpbench.bench.capability.study import FROM_DEG
 from dpbench.scenario.scenario import load_vessel
 
@@ -19,5 +19,5 @@ def circles() -> Frontier:
 
 
 @pytest.fixture(scope="session")
-def held_intact(circles: Frontier) -> list[Held]:
+def held_intact(circles: Frontier) -> list[WindLimit]:
     return [circles.held(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]

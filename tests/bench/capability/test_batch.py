@@ -12,7 +12,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability import batch, table
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
@@ -21,7 +21,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError, ResultsError
-from dpbench.qp.referee.referee import certified
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
@@ -45,7 +45,7 @@ def points(frontier: Frontier) -> list[batch.Point]:
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    points = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(15.0, 6))
+    points = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
     winds = [
         DP_CONDITIONS[6][0],
         (1 - batch.EDGE) * 15.0,
@@ -54,10 +54,10 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
     ]
     assert [point.wind_mps for point in points] == winds
     assert [point.held for point in points] == [True, True, False, False]
-    top = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(32.6, 11))
+    top = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
     assert [point.wind_mps for point in top] == [DP_CONDITIONS[row][0] for row in (8, 9, 10, 11)]
     assert all(point.held for point in top)
-    nothing = batch.points_at_edge(Case("intact", frozenset()), 0.1, Held(1.0, 0))
+    nothing = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
     assert [point.wind_mps for point in nothing] == [
         0.5,
         1 - batch.EDGE,
@@ -72,14 +72,14 @@ def test_the_referee_proves_what_the_cone_program_found(
 ) -> None:
     sequence = batch.allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
-    for point, optimum in zip(points, certified(sequence), strict=True):
+    for point, optimum in zip(points, certify_sequence(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
         assert not point.held or optimum.bound < 1e-10
 
 
 def made_up(frontier: Frontier) -> Capability:
     known = {
-        case.name: tuple(Held(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
+        case.name: tuple(WindLimit(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
         for case in frontier.cases
     }
     return Capability("ratownik", 24, known, dict.fromkeys(known, ("bow 1",)), ())

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from scipy.optimize import linprog
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
 from dpbench.bench.capability.study import FROM_DEG
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
@@ -25,7 +25,7 @@ MSV = Path(__file__).with_name("msv.toml")
 PUBLISHED = Path(__file__).parents[2] / "ship" / "capability" / "ratownik_published.csv"
 
 
-def test_numbers_are_the_published_ones(held_intact: list[Held]) -> None:
+def test_numbers_are_the_published_ones(held_intact: list[WindLimit]) -> None:
     """All 36 of Ratownik intact."""
     published = pd.read_csv(PUBLISHED, comment="#")
     assert published["from_deg"].tolist() == list(FROM_DEG)
@@ -41,13 +41,13 @@ def test_numbers_of_a_second_ship_are_the_published_ones(sides: int | None) -> N
     assert found == [*to_starboard, *to_starboard[-2:0:-1]]
 
 
-def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[Held]) -> None:
+def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[WindLimit]) -> None:
     for held in held_intact:
         low, high = (DP_CONDITIONS[held.number + step][0] for step in (0, 1))
         assert low <= held.wind_mps < high
 
 
-def test_port_and_starboard_hold_the_same(held_intact: list[Held]) -> None:
+def test_port_and_starboard_hold_the_same(held_intact: list[WindLimit]) -> None:
     winds = np.array([held.wind_mps for held in held_intact])
     np.testing.assert_allclose(winds[1:], winds[:0:-1], atol=3e-4)
 

@@ -18,7 +18,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.bench.progress import Silent
-from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
@@ -225,7 +225,7 @@ def test_a_connection_that_breaks_and_comes_back_loses_nothing(
     watching = Watching(3, _break_connection)
     run_campaign(suite, out, engine="dask", scheduler=scheduler[0], progress=watching)
     assert set(load_results(out).runs["outcome"]) == {"finished"}
-    assert accidents(out)[0] == 0
+    assert read_accidents(out)[0] == 0
 
 
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
@@ -241,7 +241,7 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     address, process = scheduler
     watching = Watching(3, process.kill)
     run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
-    lost, remarks = accidents(out)
+    lost, remarks = read_accidents(out)
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"finished", "lost"}
     assert lost == (runs["outcome"] == "lost").sum()

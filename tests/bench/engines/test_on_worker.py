@@ -25,7 +25,7 @@ from dpbench.bench.engines.on_worker import (
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.workers.child import template_context
 from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import PREFIX, temporary_folder
 
 pytestmark = pytest.mark.slow
@@ -67,7 +67,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
     planned = RunRequest(suite=str(suite), solvers=["daqp"]).plan().cells
-    return [CellJob(p, p.cell.key, available("daqp"), "machine") for p in planned]
+    return [CellJob(p, p.cell.key, check_availability("daqp"), "machine") for p in planned]
 
 
 def results_of(jobs: list[CellJob]) -> list[Result]:

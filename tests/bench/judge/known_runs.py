@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dpbench import open_workspace
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.control_metrics import (
     axis_limit_metrics,
     control_metrics,
@@ -125,7 +125,7 @@ def metrics_of(
 
 def judged_loop(
     change: Callable[[RawLog], Any] | None, name: str, units: str, steps: int
-) -> tuple[Evaluated, RawLog, Cell]:
+) -> tuple[EvaluatedCell, RawLog, Cell]:
     """Return a short loop by daqp, its log changed before it is judged."""
     case = load_scenario(name).first(steps)
     given: dict[str, Any] = {"units": units}

@@ -16,7 +16,7 @@ import pytest
 from dpbench import load_results, load_scenario, record_sequence, run_campaign
 from dpbench.bench.judge.answer_caching import is_remembered, memory_metrics
 from dpbench.bench.record.raw_log import RawLog, replay_layout
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
@@ -190,7 +190,7 @@ def replayed(
     clock = Clock()
     base, steps = sequence.base, len(sequence)
     log = RawLog.in_memory(replay_layout(len(attempts), steps, base.n, base.m))
-    made, formulated = in_replay("condensed_box", sequence)
+    made, formulated = replay_formulation("condensed_box", sequence)
     timed_solver = TimedSolver(make(clock), formulated, clock)
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=warm_up, limit_ns=2**62, clock=clock

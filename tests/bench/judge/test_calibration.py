@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge import calibration
-from dpbench.bench.judge.calibration import calibrate, off_by_ns, within_bar
+from dpbench.bench.judge.calibration import calibrate, excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.solvers.calibration import CALIBRATION, NO_OP
@@ -48,12 +48,15 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[RawLog]:
     [(NO_OP, 0, 1000), ("busy_wait_50us", 50_000, 1000), ("busy_wait_1000us", 1_000_000, 10_000)],
 )
 def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns: int) -> None:
-    assert within_bar(name, float(wait_ns)) is True
-    assert off_by_ns(name, wait_ns + 300.0) == 300.0
+    assert is_within_tolerance(name, float(wait_ns)) is True
+    assert excess_over_wait_ns(name, wait_ns + 300.0) == 300.0
     for side in (-1, 1):
-        assert within_bar(name, wait_ns + side * bar_ns) is True
-        assert within_bar(name, wait_ns + side * (bar_ns + 0.01)) is False
-    assert within_bar("copy_only", 1e9) is None and off_by_ns("copy_only", 1e9) == 1e9
+        assert is_within_tolerance(name, wait_ns + side * bar_ns) is True
+        assert is_within_tolerance(name, wait_ns + side * (bar_ns + 0.01)) is False
+    assert (
+        is_within_tolerance("copy_only", 1e9) is None
+        and excess_over_wait_ns("copy_only", 1e9) == 1e9
+    )
 
 
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:

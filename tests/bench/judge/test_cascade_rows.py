@@ -10,11 +10,11 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import StepColumns, errors, failed_steps
+from dpbench.bench.judge.rules import StepColumns, failed_steps, first_move_errors
 from dpbench.bench.judge.step_columns import join_cascade_steps, step_columns, step_time_ns
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.solvers.table import Availability
 from tests.bench.judge.known_runs import judged_loop
 
@@ -81,7 +81,13 @@ def answers(**changes: list[Any]) -> StepColumns:
     """Columns of five solved and certified QPs, some of them changed."""
     facts: dict[str, Any] = dict.fromkeys(("claimed", "true", "true_1e4", "true_1e6"), True)
     facts |= {"status": "SOLVED", "certificate": "linear", "error_move": 0.1}
-    facts |= {"setup_ns": ABSENT, "update_ns": ABSENT, "solve_ns": 7, "read_ns": 3, "waited_ns": 4}
+    facts |= {
+        "setup_ns": MISSING_INT,
+        "update_ns": MISSING_INT,
+        "solve_ns": 7,
+        "read_ns": 3,
+        "waited_ns": 4,
+    }
     facts |= {"fallback": False, "unconverged": False}
     columns = {name: [fact] * 5 for name, fact in facts.items()}
     return {name: np.array(column) for name, column in (columns | changes).items()}
@@ -108,7 +114,7 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
     assert steps["certificate"].tolist() == ["linear"] * 3 + ["infeasible", "linear"]
     assert step_time_ns(steps).tolist() == [20] * 5 and steps["allocation_ns"].tolist() == [10] * 5
     assert steps["waited_ns"].tolist() == [8] * 5
-    assert errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
+    assert first_move_errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
     # The loop falls back where either has no answer: a right claim of infeasibility is no failure.
     steps["fallback"] = np.array([False, False, True, True, True])
     assert failed_steps(steps).tolist() == [False, False, True, False, True]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated, StepEvaluator
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell, StepEvaluator
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 from dpbench.qp.solution import Solution, Status
@@ -21,12 +21,12 @@ STEPS, SOLVE = 5, 3
 
 def judged(
     change: Callable[[RawLog], Any], scenario: str = "paper", units: str = "scaled"
-) -> tuple[Evaluated, RawLog]:
+) -> tuple[EvaluatedCell, RawLog]:
     evaluated, log, _ = judged_loop(change, scenario, units, STEPS)
     return evaluated, log
 
 
-def figure(evaluated: Evaluated, name: str) -> Any:
+def figure(evaluated: EvaluatedCell, name: str) -> Any:
     return evaluated.columns["evaluations"][:, EVALUATION.index(name)]
 
 

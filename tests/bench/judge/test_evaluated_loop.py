@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
+from dpbench.bench.record.raw_log import PHASES, RawLog, loop_layout
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
 from tests.bench.judge.known_runs import exact_loop
 
 STEPS, DONE = 4, 3
@@ -22,7 +22,7 @@ SURGE = [16e3, 16e3, 15e3]
 
 
 @pytest.fixture(scope="module")
-def judged() -> tuple[Evaluated, StepColumns, Cell]:
+def judged() -> tuple[EvaluatedCell, StepColumns, Cell]:
     """Three of four planned steps of `calm` with a reference, and a fault at 0.6 s."""
     calm = load_scenario("calm").files
     changes = {
@@ -30,7 +30,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
         "faults": [{"at_s": 0.6, "limit_share": [0.01, 1.0, 1.0]}],
         "duration_s": 0.3 * STEPS,
     }
-    case = scenario_of(calm | {"scenario": calm["scenario"] | changes})
+    case = build_scenario(calm | {"scenario": calm["scenario"] | changes})
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = DONE
     log.state[:, 3] = NORTH
@@ -38,7 +38,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
     log.tau[:DONE, 0], log.command[:DONE, 0] = SURGE, [17e3, 18e3, 19e3]
     log.flags[:DONE] = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
     log.times[:] = 0
-    log.times[0, :, TIMES.index("solve")] = [100, 200, 300, 400]
+    log.times[0, :, PHASES.index("solve")] = [100, 200, 300, 400]
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
     exact = exact_loop([[0.0, 0.0, 0.0]] * (STEPS + 1), [[1e3, 0.0, 0.0]] * STEPS)
     evaluated = evaluate_log(cell, log, exact)
@@ -67,7 +67,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
     ],
 )
 def test_figures_of_a_written_log(
-    name: str, value: float, judged: tuple[Evaluated, StepColumns, Cell]
+    name: str, value: float, judged: tuple[EvaluatedCell, StepColumns, Cell]
 ) -> None:
     assert judged[0].metrics[name] == pytest.approx(value)
 
@@ -76,7 +76,7 @@ def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
     case = load_scenario("move_filtered").first(STEPS)
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS
-    log.state[:, 3:] = case.reference_table(STEPS + 1)
+    log.state[:, 3:] = case.build_reference_table(STEPS + 1)
     assert log.state[1, 3:].any()
     exact = exact_loop(log.state[:, 3:].tolist(), [[0.0, 0.0, 0.0]] * STEPS)
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)

@@ -17,7 +17,7 @@ from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
@@ -141,7 +141,7 @@ def _replayed(sequence: QPSequence, workspace: Workspace, formulation: Formulati
 
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_answer_is_one_failed_step_of_a_round(name: str, recorded: QPSequence) -> None:
-    formulated = in_replay("condensed_box", recorded)[1]
+    formulated = replay_formulation("condensed_box", recorded)[1]
     spoil, words = MALFORMED[name]
     timed_solver = TimedSolver(Planted(spoil), formulated, time.perf_counter_ns)
     log = RawLog.in_memory(replay_layout(2, STEPS, 15, 15))

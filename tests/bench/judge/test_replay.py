@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_sequence, repeatability
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.qp.program import QPSequence, QuadraticProgram, Units
@@ -33,12 +33,12 @@ def log_of(answers: list[list[float]]) -> RawLog:
     return log
 
 
-def figure(evaluated: Evaluated, name: str) -> list[float]:
+def figure(evaluated: EvaluatedCell, name: str) -> list[float]:
     found: list[float] = evaluated.columns["evaluations"][:, EVALUATION.index(name)].tolist()
     return found
 
 
-def kinds(evaluated: Evaluated) -> list[str]:
+def kinds(evaluated: EvaluatedCell) -> list[str]:
     return [CERTIFICATES[i] for i in evaluated.columns["certificate"]]
 
 

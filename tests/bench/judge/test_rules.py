@@ -11,12 +11,12 @@ import pytest
 
 from dpbench.analysis.records.step_times import times_by_run
 from dpbench.bench.judge import rules
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import PHASES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.exact_loop import ExactWorkspace
 from dpbench.bench.worst_case.goal import worst_of
@@ -34,7 +34,7 @@ def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog
     log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(kernel_ns) - 1)
     log.reference_kernel_ns[:] = np.array(kernel_ns)[:, None]
     log.times[:] = -1
-    log.times[:, :, TIMES.index("solve")] = 1000 + np.arange(len(kernel_ns))[:, None]
+    log.times[:, :, PHASES.index("solve")] = 1000 + np.arange(len(kernel_ns))[:, None]
     log.counters[:] = 1.0
     if statuses is not None:
         log.status[:, : len(statuses)] = statuses
@@ -47,7 +47,7 @@ def _sequence() -> QPSequence:
     return QPSequence("made up", base, zero, zero - 1, zero + 1)
 
 
-def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
+def _tables(evaluated: EvaluatedCell) -> tuple[pd.DataFrame, Any]:
     configuration = {"name": "made up"}, "planted", "native", "fresh", "default", STEPS
     cell = Cell("replay", *configuration, rounds=3)
     steps = step_columns(cell, evaluated)
@@ -56,7 +56,7 @@ def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
     return step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
 
 
-def _judged(log: RawLog) -> Evaluated:
+def _judged(log: RawLog) -> EvaluatedCell:
     return evaluate_sequence(log, _sequence(), 0.3)
 
 
@@ -102,7 +102,7 @@ def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
     assert not rules.counting_rows(0 * repeat, repeat == 1).any()
 
 
-def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
+def _certified(kind: str, count: int, log: RawLog) -> EvaluatedCell:
     """Return a judged log whose first steps of each round have no optimum."""
     evaluated = _judged(log)
     first = evaluated.columns["k"] < count
@@ -150,7 +150,9 @@ def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> N
 
 @pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
-    assert rules.supports(needed, percent) and not rules.supports(needed - 1, percent)
+    assert rules.supports_percentile(needed, percent) and not rules.supports_percentile(
+        needed - 1, percent
+    )
     assert np.isfinite(rules.percentile(np.arange(float(needed)), percent))
     assert np.isnan(rules.percentile(np.arange(needed - 1.0), percent))
 
@@ -184,18 +186,18 @@ def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
-    np.testing.assert_array_equal(rules.errors(alone), [0.1, 0.3, np.nan])
+    np.testing.assert_array_equal(rules.first_move_errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
-    assert rules.errors(both).tolist() == [0.2, 0.3, 0.4]
+    assert rules.first_move_errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
 def test_medians_and_maxima_are_of_what_is_there() -> None:
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
-    assert (rules.median(values), rules.largest(values)) == (3.0, 8.0)
-    assert rules.largest([-2.0, -3.0]) == -2.0
-    assert rules.median([7.0]) == rules.largest([7.0]) == 7.0
+    assert (rules.median_known(values), rules.largest_known(values)) == (3.0, 8.0)
+    assert rules.largest_known([-2.0, -3.0]) == -2.0
+    assert rules.median_known([7.0]) == rules.largest_known([7.0]) == 7.0
     for nothing in ([], [np.nan]):
-        assert np.isnan(rules.median(nothing)) and np.isnan(rules.largest(nothing))
+        assert np.isnan(rules.median_known(nothing)) and np.isnan(rules.largest_known(nothing))
 
 
 # Certificate, status, claimed, true, fallback, unconverged; what the step then counts as.
@@ -227,7 +229,7 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
     columns |= dict.fromkeys(("error_plan", "primal"), np.zeros(len(CASES)))
     steps = pd.DataFrame(columns) if as_table else columns
     found = {
-        "unknown": ~rules.decided(steps),
+        "unknown": ~rules.decided_steps(steps),
         "failed": rules.failed_steps(steps),
         "claimed_not_true": rules.claimed_not_true(steps),
         "true_not_claimed": rules.true_not_claimed(steps),
@@ -252,4 +254,4 @@ def test_switches_explain_late_timings_in_proportion_to_timed_calls(
     switches: float, timed_share: float, explained: int
 ) -> None:
     """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
-    assert rules.explained_by(switches, timed_share) == explained
+    assert rules.explained_late_timings(switches, timed_share) == explained

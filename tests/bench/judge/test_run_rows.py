@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from dpbench.bench.judge import timing
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.calibration import NO_OP
@@ -60,7 +60,7 @@ def loop_steps(**columns: Any) -> dict[str, Any]:
 
 def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
     cell = replace(LOOP, slowdown=slowdown)
-    return row_of(cell, loop_steps(**columns), Evaluated(ONCE, {}))
+    return row_of(cell, loop_steps(**columns), EvaluatedCell(ONCE, {}))
 
 
 def test_fallbacks_of_a_known_run() -> None:
@@ -100,7 +100,7 @@ def test_accuracy_of_a_known_run() -> None:
         primal=[0.1, 0.0, 0.0, 0.0, 0.0, 9.0, 0.2, 0.3],
         dual=[0.0, 0.4, 0.0, 0.0, 0.0, 9.0, 0.1, 0.2],
         optimum_bound=[1e-12, 3e-12, 2e-12, 1e-12, 1e-12, INF, NAN, INF],
-        iterations=[4, 8, 2, 10, ABSENT, 3, 7, 9],
+        iterations=[4, 8, 2, 10, MISSING_INT, 3, 7, 9],
     )
     assert row["claimed_share"] == 0.75
     # Six steps have a known right answer.
@@ -137,8 +137,8 @@ def test_deadlines_of_a_known_run() -> None:
         slowdown=2.0,
         late=flags("0011100100"),
         true=flags("1110101111"),
-        total_ns=[100, 100, 450, ABSENT, 350, 150, 100, ABSENT, 100, 100],
-        latency_ns=[200, 100, 900, ABSENT, 700, 300, 200, ABSENT, 200, 200],
+        total_ns=[100, 100, 450, MISSING_INT, 350, 150, 100, MISSING_INT, 100, 100],
+        latency_ns=[200, 100, 900, MISSING_INT, 700, 300, 200, MISSING_INT, 200, 200],
     )
     assert (row["deadline_misses"], row["longest_miss_streak"]) == (4, 3)
     # From step 2: the answer of 4 is true and late, that of 5 in time and wrong, 6 is both.
@@ -156,8 +156,8 @@ def test_a_late_answer_is_judged_as_any_other() -> None:
     columns: dict[str, Any] = {
         "fallback": flags("1111"),
         "late": flags("0110"),
-        "total_ns": [100, 900, ABSENT, 100],
-        "latency_ns": [200, 1800, ABSENT, 200],
+        "total_ns": [100, 900, MISSING_INT, 100],
+        "latency_ns": [200, 1800, MISSING_INT, 200],
         "status": ["SOLVED", "SOLVED", "", "ERROR"],
         "claimed": flags("1100"),
         "true": flags("1100"),
@@ -176,7 +176,7 @@ def test_a_late_answer_is_judged_as_any_other() -> None:
 def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
     repeat, k = np.array([0, 1, 1, 1, 2, 2]), np.array([0, 0, 1, 2, 0, 1])
     kernels = {"reference_kernel_ns": np.ones((3, 2)), "load_kernel_ns": np.ones((3, 1, 1))}
-    judged = Evaluated(ONCE | kernels | {"repeat": repeat}, {"r_rms_m": 0.5})
+    judged = EvaluatedCell(ONCE | kernels | {"repeat": repeat}, {"r_rms_m": 0.5})
     steps = loop_steps(repeat=repeat, k=k, disturbed=flags("000000"))
     for counts, length, rounds in (("011111", 3, 2), ("000011", 2, 1)):
         steps["counts"] = flags(counts)
@@ -191,7 +191,7 @@ def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
 
 
 def test_a_cell_without_steps_has_its_identity_only() -> None:
-    judged, steps = Evaluated(ONCE, {"r_rms_m": 0.5}), loop_steps(true=flags("1"))
+    judged, steps = EvaluatedCell(ONCE, {"r_rms_m": 0.5}), loop_steps(true=flags("1"))
     none = {name: column[:0] for name, column in steps.items()}
     for parts in ((none, judged), (None, judged), (steps, None)):
         assert row_of(LOOP, *parts) == row_of(LOOP)
@@ -213,7 +213,7 @@ def test_a_cell_without_steps_has_its_identity_only() -> None:
 
 def test_numbers_that_are_absent_are_null_in_the_table_of_steps() -> None:
     """An integer of −1 is a missing number; a latency of 0 is one."""
-    steps = {"k": np.array([0, 1]), "latency_ns": np.array([0, ABSENT])}
+    steps = {"k": np.array([0, 1]), "latency_ns": np.array([0, MISSING_INT])}
     table = step_rows("a1", steps | {"n_m": np.array([1.0, NAN])})
     assert table["run_id"].tolist() == ["a1", "a1"] and table["k"].tolist() == [0, 1]
     assert table["latency_ns"].isna().tolist() == [False, True]
@@ -242,7 +242,7 @@ def test_an_answer_exactly_in_time_is_not_late() -> None:
         ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6)
     )
     assert slow["late"].tolist() == [False, True, False, True, True, False]
-    assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT, ABSENT, 0]
+    assert slow["latency_ns"].tolist() == [1000, 1001, 999, MISSING_INT, MISSING_INT, 0]
 
 
 @pytest.mark.parametrize(

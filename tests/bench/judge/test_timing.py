@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.rules import counting_rows, select_rows
 from dpbench.bench.judge.timing import (
     find_disturbed_rounds,
@@ -16,7 +16,7 @@ from dpbench.bench.judge.timing import (
     timing_metrics,
 )
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 
 CONFIGURATION = {"solver": "x", "route": "native", "policy": "fresh", "settings": "default"}
 REPLAY = Cell(mode="replay", scenario={}, steps=20, rounds=3, **CONFIGURATION)
@@ -34,7 +34,7 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
     total = np.select([repeat == 1, repeat == 3], [100 + k, 300 - k], 1)
     disturbed = np.isin(repeat, slowed)
     steps = {"repeat": repeat, "k": k, "total_ns": total, "disturbed": disturbed}
-    evaluated = Evaluated(
+    evaluated = EvaluatedCell(
         {
             "repeat": repeat,
             "setup_once_ns": np.array([7]),
@@ -105,11 +105,11 @@ def looped(**columns: Any) -> dict[str, Any]:
     """A loop of 20 steps of 1 to 20 ns."""
     steps = {
         "total_ns": np.arange(1, 21),
-        "waited_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
-        "emit_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
-        "overhead_ns": np.full(20, ABSENT),
+        "waited_ns": np.array([MISSING_INT] * 17 + [0, 4, 6]),
+        "emit_ns": np.array([MISSING_INT] * 17 + [0, 4, 6]),
+        "overhead_ns": np.full(20, MISSING_INT),
     }
-    evaluated = Evaluated({"setup_once_ns": np.array([3]), "matrix_updates": np.array([2])}, {})
+    evaluated = EvaluatedCell({"setup_once_ns": np.array([3]), "matrix_updates": np.array([2])}, {})
     return timing_metrics(LOOP, evaluated, steps | columns)
 
 
@@ -138,7 +138,7 @@ def rounds_of(repeat: Any, k: Any, total_ns: Any) -> dict[str, Any]:
     kernels = {"reference_kernel_ns": np.ones((2, 2)), "load_kernel_ns": np.ones((2, 1, 1))}
     once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
     steps = {"repeat": repeat, "k": k, "total_ns": total_ns, "disturbed": repeat > 2}
-    return timing_metrics(REPLAY, Evaluated(kernels | once | {"repeat": repeat}, {}), steps)
+    return timing_metrics(REPLAY, EvaluatedCell(kernels | once | {"repeat": repeat}, {}), steps)
 
 
 def test_many_steps_of_a_replay_carry_percentiles() -> None:

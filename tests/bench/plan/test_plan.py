@@ -20,7 +20,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.cli.check import check_file
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
@@ -46,7 +46,7 @@ def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
             ways = places.setdefault(cell.solver, {})
             ways.setdefault((cell.route, cell.policy, settings), {})[place] = cell.steps
     for solver, ways in places.items():
-        row = record(solver)
+        row = find_record(solver)
         usual = ways[row.default_route, "fresh", "default"]
         assert ways[row.default_route, "fresh", "high"] == usual, solver
         kept = {policy for policy in ("reuse", "warm") if policy in row.policies.get("native", ())}

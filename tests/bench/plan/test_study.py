@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.run_request import with_choices
+from dpbench.bench.plan.run_request import select_part
 from dpbench.bench.plan.study_points import StudyTable, list_points
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import study_columns
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import parse_model
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
 
 HS, TP = "environment.waves.hs_m", "environment.waves.tp_s"
 WIND, SEED = "environment.wind.speed_mps", "environment.seed"
@@ -87,7 +87,7 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
     assert len(cells) == 2 * 3 * 2 * 2 * 2
     for cell in cells:
         assert cell.study is not None
-        scenario, x = scenario_of(cell.scenario), cell.study.x
+        scenario, x = build_scenario(cell.scenario), cell.study.x
         environment = cell.scenario["scenario"]["environment"]
         assert scenario.problem.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])
@@ -140,6 +140,6 @@ def test_a_table_that_contradicts_itself(study: dict[str, Any]) -> None:
 
 
 def test_choices_of_the_command_line_hold_for_studies() -> None:
-    suite = with_choices(_suite({"steps": 30}), settings=["1e-5"], steps=7)
+    suite = select_part(_suite({"steps": 30}), settings=["1e-5"], steps=7)
     (cell,) = [p.cell for p in plan(suite, solvers=["osqp"])]
     assert (cell.solver, cell.settings, cell.steps) == ("osqp", "1e-5", 7)

@@ -21,7 +21,7 @@ from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
-    ABSENT,
+    MISSING_INT,
     RUN_COLUMNS,
     SCHEMA_VERSION,
     STEP_COLUMNS,
@@ -48,7 +48,7 @@ def steps_of(seed: int, count: int = 7) -> StepColumns:
     steps: StepColumns = {}
     for name, (dtype, _) in STEP_COLUMNS.items():
         if dtype == "Int64":
-            steps[name] = rng.integers(ABSENT, 10**6, count)
+            steps[name] = rng.integers(MISSING_INT, 10**6, count)
         elif dtype == "float64":
             steps[name] = rng.normal(size=count)
         elif dtype == "bool":

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.record.result_folder import claimed, writing
+from dpbench.bench.record.result_folder import lock_for_writing, lock_result_folder
 from dpbench.errors import InputError
-from dpbench.locks import Patience
+from dpbench.locks import WaitLimit
 
 
 class _Said:
@@ -37,7 +37,7 @@ def test_a_report_and_a_campaign_wait_for_each_other(
     monkeypatch.setattr(sys, "stderr", said)
     folder = tmp_path / "out"
     folder.mkdir()
-    campaign, report = lambda: claimed(folder, "smoke"), lambda: writing(folder)
+    campaign, report = lambda: lock_result_folder(folder, "smoke"), lambda: lock_for_writing(folder)
     one, other = (campaign, report) if first == "campaign" else (report, campaign)
 
     def second() -> None:
@@ -75,7 +75,7 @@ def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
     ) as other:
         assert other.stdout is not None and other.stdout.readline() == "held\n"
         name = rf"process {other.pid} \(.*since"
-        impatient = claimed(tmp_path / "out", "smoke", Patience(0.0))
+        impatient = lock_result_folder(tmp_path / "out", "smoke", WaitLimit(0.0))
         with pytest.raises(InputError, match=name), impatient:
             pass
         other.communicate("")
@@ -83,14 +83,18 @@ def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
 
 def test_two_campaigns_do_not_wait(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with claimed(out, "smoke"), pytest.raises(InputError, match="in use"), claimed(out, "smoke"):
+    with (
+        lock_result_folder(out, "smoke"),
+        pytest.raises(InputError, match="in use"),
+        lock_result_folder(out, "smoke"),
+    ):
         pass
-    with claimed(out, "smoke"):
+    with lock_result_folder(out, "smoke"):
         pass
 
 
 def test_a_folder_that_is_not_there_is_not_held(tmp_path: Path) -> None:
-    with writing(tmp_path / "out"):
+    with lock_for_writing(tmp_path / "out"):
         assert not (tmp_path / "out").exists()
 
 
@@ -100,15 +104,18 @@ def test_nothing_is_made_through_a_link(tmp_path: Path) -> None:
     elsewhere.mkdir()
     out.mkdir()
     (out / "cells").symlink_to(elsewhere)
-    with pytest.raises(InputError, match="cells: found a link"), claimed(out, "smoke"):
+    with pytest.raises(InputError, match="cells: found a link"), lock_result_folder(out, "smoke"):
         pass
     assert not list(elsewhere.iterdir())
     (out / "cells").unlink()
     (out / "cells").mkdir()
     (out / "cells" / ".lock").symlink_to(mine)
-    with pytest.raises(InputError, match="a folder that can be written"), claimed(out, "smoke"):
+    with (
+        pytest.raises(InputError, match="a folder that can be written"),
+        lock_result_folder(out, "smoke"),
+    ):
         pass
     (out / "cells" / ".lock").unlink()
     os.link(mine, out / "cells" / ".lock")
-    with claimed(out, "smoke"):
+    with lock_result_folder(out, "smoke"):
         assert mine.read_text("utf-8") == "mine"

@@ -14,10 +14,10 @@ from dpbench.bench.record.disturbance import (
     MAX_STEAL_SHARE,
     MAX_SWITCHES_PER_S,
     Disturbance,
-    counters,
     disturbance_metrics,
+    read_counters,
 )
-from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import COUNTERS, PHASES, RawLog, replay_layout
 
 # What the kernel counts on a core is to come from the test.
 pytestmark = pytest.mark.alone
@@ -34,10 +34,10 @@ QUIET = Disturbance(
 
 
 def test_a_process_that_waits_switches_of_its_own_will() -> None:
-    before = counters()
+    before = read_counters()
     for _ in range(10):
         time.sleep(0.001)
-    change = dict(zip(COUNTERS, counters() - before, strict=True))
+    change = dict(zip(COUNTERS, read_counters() - before, strict=True))
     assert change["voluntary_switches"] >= 10
     assert change["replay_s"] >= 0.01
 
@@ -49,7 +49,7 @@ def test_steal_time_is_that_of_the_own_core() -> None:
     try:
         with open("/proc/stat", encoding="ascii") as stat:
             (line,) = [text for text in stat if text.startswith(f"cpu{core} ")]
-        found = counters()[COUNTERS.index("steal_s")]
+        found = read_counters()[COUNTERS.index("steal_s")]
     finally:
         os.sched_setaffinity(0, allowed)
     user, nice, system, idle, iowait, irq, softirq, steal, *_ = map(int, line.split()[1:])
@@ -75,8 +75,8 @@ def test_the_time_of_steps_is_of_the_same_rounds() -> None:
     log.done[:] = (2, 2, 2, 1)
     log.counters[:3] = 1.0
     log.counters[3] = np.nan
-    log.times[:, :, TIMES.index("solve")] = np.array([[7], [100], [2000], [9]])
-    log.times[:, :, TIMES.index("emit")] = 10**6
+    log.times[:, :, PHASES.index("solve")] = np.array([[7], [100], [2000], [9]])
+    log.times[:, :, PHASES.index("emit")] = 10**6
     assert disturbance_metrics(log)["solve_s"] == pytest.approx(4200e-9)
 
 
@@ -87,7 +87,7 @@ def test_the_time_of_other_threads_is_theirs_alone() -> None:
             hashlib.sha256(bytes(10**6))
 
     def thread_s() -> float:
-        return float(counters()[COUNTERS.index("thread_s")])
+        return float(read_counters()[COUNTERS.index("thread_s")])
 
     before = thread_s()
     work()

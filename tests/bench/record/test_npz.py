@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.bench.record.npz import keep, kept, read_npz, write_npz
+from dpbench.bench.record.npz import open_arrays, read_npz, write_arrays, write_npz
 from dpbench.errors import InputError, ResultsError
 
 ARRAYS = {
@@ -22,11 +22,11 @@ ARRAYS = {
 }
 
 
-@pytest.mark.parametrize("write", [keep, write_npz])
+@pytest.mark.parametrize("write", [write_arrays, write_npz])
 def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     write(path, ARRAYS)
-    with kept(path) as stored:
+    with open_arrays(path) as stored:
         assert list(stored) == list(ARRAYS)
         for name, array in ARRAYS.items():
             assert (stored[name].dtype, stored[name].shape) == (array.dtype, array.shape)
@@ -38,14 +38,14 @@ def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path
 
 def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    keep(path, ARRAYS)
+    write_arrays(path, ARRAYS)
     whole = path.read_bytes()
     for at in range(len(whole)):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        with pytest.raises(ResultsError), kept(path):
+        with pytest.raises(ResultsError), open_arrays(path):
             raise AssertionError(f"byte {at} is no damage")
         path.write_bytes(whole[:at])
-        with pytest.raises(ResultsError), kept(path):
+        with pytest.raises(ResultsError), open_arrays(path):
             raise AssertionError(f"{at} bytes are no damage")
 
 

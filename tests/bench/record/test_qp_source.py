@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, source_from
+from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, parse_source
 from dpbench.errors import InputError
 
 CELL = Cell("replay", {"name": "turn"}, "daqp", "native", "fresh", "default", 20, first=100)
@@ -30,7 +30,7 @@ KINDS: list[tuple[dict[str, Any], bool, bool]] = [
 def test_a_source_is_described_as_ever(
     described: dict[str, Any], timed: bool, judged: bool
 ) -> None:
-    source = source_from(described)
+    source = parse_source(described)
     assert source.to_dict() == described
     assert (source.is_timed, source.is_judged) == (timed, judged)
     cell = replace(CELL, source=source)
@@ -44,11 +44,11 @@ def test_every_kind_is_described_above() -> None:
 
 
 def test_the_controller_needs_no_description() -> None:
-    assert source_from({}) is CONTROLLER
+    assert parse_source({}) is CONTROLLER
     assert '"source"' not in CELL.to_json()
     assert (CELL.sequence, CELL.last_step) == ("turn[100:120]", 120)
 
 
 def test_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match="dice"):
-        source_from({"kind": "dice"})
+        parse_source({"kind": "dice"})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import RawLog, discard, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import RawLog, loop_layout, remove_log, replay_layout
 
 
 def test_a_reader_sees_what_the_writer_assigned(tmp_path: Path) -> None:
@@ -32,5 +32,5 @@ def test_arrays_do_not_overlap() -> None:
 def test_discard_removes_log_and_layout(tmp_path: Path) -> None:
     path = tmp_path / "cell.raw"
     RawLog.create(path, replay_layout(1, 2, 3, 3))
-    discard(path)
+    remove_log(path)
     assert list(tmp_path.iterdir()) == []

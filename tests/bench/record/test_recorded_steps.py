@@ -15,7 +15,7 @@ import pytest
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import StepFile
 from dpbench.bench.record.recorded_steps import StepsInMemory, StepsOnDisk, StepTable
-from dpbench.bench.record.schema import ABSENT, STEP_COLUMNS
+from dpbench.bench.record.schema import MISSING_INT, STEP_COLUMNS
 from dpbench.bench.record.step_table import concat_runs, step_batch
 from dpbench.errors import ResultsError
 from tests.bench.record.test_cell_store import steps_of
@@ -105,7 +105,7 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
         for column, (dtype, _) in list(STEP_COLUMNS.items())[1:]:
             values = expected[column]
             if dtype == "Int64":
-                values = np.where(values == ABSENT, np.nan, values)
+                values = np.where(values == MISSING_INT, np.nan, values)
             np.testing.assert_array_equal(own[column].to_numpy(), values, err_msg=column)
 
 

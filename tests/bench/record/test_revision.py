@@ -10,7 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.machine import checkout_revision, installed, revision_text, revisions
+from dpbench.bench.record.machine import (
+    checkout_revision,
+    describe_revisions,
+    installed_revision,
+    revisions,
+)
 
 
 def _git(folder: Path, *words: str) -> None:
@@ -49,14 +54,14 @@ def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPa
     noted: dict[str, str | None] = {"text": json.dumps({"vcs_info": {"commit_id": "ab" * 20}})}
     there = SimpleNamespace(read_text=lambda name: noted["text"])
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
-    assert installed() == {"commit": "ab" * 20, "clean": True}
+    assert installed_revision() == {"commit": "ab" * 20, "clean": True}
     noted["text"] = None
-    assert installed() == {}
+    assert installed_revision() == {}
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
     old, new = {"commit": "a" * 40, "clean": True}, {"commit": "b" * 40, "clean": False}
     both = revisions([new, old], new)
     assert both == [old, new] and revisions([], {}) == []
-    assert revision_text({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
-    assert revision_text({}) == ""
+    assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
+    assert describe_revisions({}) == ""

@@ -179,6 +179,6 @@ def test_an_unknown_backup_is_one_line() -> None:
 def test_a_backup_from_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dpbench.bench.plan import configurations
 
-    monkeypatch.setattr(configurations, "module_of", lambda solver: str(tmp_path / "mine.py"))
+    monkeypatch.setattr(configurations, "plugin_file", lambda solver: str(tmp_path / "mine.py"))
     with pytest.raises(InputError, match=r"closed_loop.backup: found 'daqp'"):
         plan(suite(backup="daqp"))

@@ -28,7 +28,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.function import FunctionWorkspace
@@ -43,7 +43,7 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
     own["start"] = {"north_m": 2.0, "east_m": -1.0, "heading_deg": 5.0}
     own["controller"] |= {"prediction_horizon": 30, "control_horizon": 3}
     own["controller"]["thrusters"] |= changes
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
@@ -183,7 +183,7 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
         files = copy.deepcopy(load_scenario("thrusters_cascade").files)
         files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
         files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
-        case = scenario_of(files)
+        case = build_scenario(files)
         log = steered_by(case, daqp()).log
         assert not log.flags[:, :2].any()
         assert limit_violations(case, log) == 0.0
@@ -217,7 +217,7 @@ def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
 
 def function_workspace() -> FunctionWorkspace:
     workspace = FunctionWorkspace("function", "fresh", only_the_controller, {})
-    workspace.opened_again = function_workspace
+    workspace.reopen = function_workspace
     return workspace
 
 
@@ -240,7 +240,7 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
 
 def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
     still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
-    moved = scenario_of(copy.deepcopy(still.files))
+    moved = build_scenario(copy.deepcopy(still.files))
     log = steered_by(moved, daqp()).log
     free = log.flags[:, 2] == 0
     assert free.any()

@@ -20,7 +20,7 @@ from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, condense, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, condense
 from dpbench.solvers.contract import Workspace
 from tests.bench.run.loops import run_loop
 
@@ -97,7 +97,7 @@ def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -
     files = copy.deepcopy(scenario.files)
     files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
     files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
-    moving = scenario_of(files)
+    moving = build_scenario(files)
     truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
     np.testing.assert_allclose(moving.estimator().update(truth, np.zeros(3)), truth, atol=1e-12)
 

@@ -11,7 +11,7 @@ import pytest
 
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run import footprint
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOp, open_calibration
@@ -27,7 +27,7 @@ def _sequence(n: int = 3, steps: int = 12) -> QPSequence:
 
 
 def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
-    made, formulated = in_replay("condensed_box", _sequence(n))
+    made, formulated = replay_formulation("condensed_box", _sequence(n))
     timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
     timed_solver.prepare()
     return footprint.measure_steps(made, timed_solver, 10)

@@ -20,19 +20,19 @@ from dpbench import (
     write_report,
 )
 from dpbench.bench.plan import suite
-from dpbench.bench.plan.cells import NO_MODEL, NOT_STRICT
+from dpbench.bench.plan.cells import NO_MODEL, SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.formulation import QPBuilder, in_replay
+from dpbench.bench.run.formulation import QPBuilder, replay_formulation
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy, Workspace
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 
 SOLVER = "piqp_multistage"
 HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
@@ -47,7 +47,7 @@ def early_loss() -> Scenario:
     files = deepcopy(load_scenario("thruster_loss").files)
     (fault,) = files["scenario"]["faults"]
     fault["at_s"] = 6.0
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 # Steps of the last with a limit that hardly acts leave an interior point 3e-7 from the optimum.
@@ -172,7 +172,7 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
     assert refused == {
         ("quadprog", "condensed_stacked"): "",
         ("daqp", "condensed_stacked"): "",
-        ("quadprog", "sparse"): NOT_STRICT,
+        ("quadprog", "sparse"): SEMIDEFINITE_REFUSAL,
         ("daqp", "sparse"): "",
     }
 
@@ -235,7 +235,7 @@ formulations = ["condensed_box", "sparse"]
     assert (clarabel["outcome"] == "finished").all() and len(clarabel) == 8
     assert (clarabel["true_share"] == 1.0).all() and (clarabel["error_plan_max"] < 1e-2).all()
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
-    assert set(strict["outcome_detail"]) == {NOT_STRICT}
+    assert set(strict["outcome_detail"]) == {SEMIDEFINITE_REFUSAL}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
     assert "Fastest form with right answers, of 4 configurations on a sequence: " in page
     assert (out / "tables" / "formulations.csv").is_file()
@@ -270,7 +270,7 @@ SETTINGS: dict[str, Any] = {"piqp_multistage": PIQP, "hpipm_ocp": HPIPM, "hpipm"
 STEPS = {"hpipm": 5}
 
 
-@pytest.mark.parametrize("solver", [name for name in SETTINGS if available(name).ok])
+@pytest.mark.parametrize("solver", [name for name in SETTINGS if check_availability(name).ok])
 @pytest.mark.parametrize(
     ("scenario", "horizons", "steps"),
     [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
@@ -280,7 +280,7 @@ def test_exact_solvers_meet_the_bar(
 ) -> None:
     case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
     condensed = record_sequence(case)
-    sequence, form = in_replay("sparse", condensed)
+    sequence, form = replay_formulation("sparse", condensed)
     workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])
     workspace.setup(sequence.base)
     for k in range(len(sequence)):

@@ -18,7 +18,7 @@ from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.specification import FIXED_MODEL
 from dpbench.scenario.problem_files import problem_names
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy
 
 pytestmark = pytest.mark.slow
@@ -256,7 +256,7 @@ def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
     assert found["r_max_m"] < 0.3
     files = copy.deepcopy(scenario.files)
     files["scenario"]["controller"]["thrusters"]["allocation"] = "pseudo_inverse"
-    clipped = scenario_of(files)
+    clipped = build_scenario(files)
     assert 5.0 < measured(clipped, solve_exactly(clipped))["r_max_m"] < 7.0
 
 

@@ -22,7 +22,7 @@ from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
 from dpbench.mpc.law import gains
 from dpbench.qp.solution import Status
-from dpbench.scenario.controllers.controller import limit_tables
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 from tests.bench.run.loops import SAMPLE_NS, Planned, run_loop, surge_steps
 
@@ -158,7 +158,7 @@ def test_one_processor_and_no_limit_violated(
     began = np.array(asked(log))
     took = np.maximum(1, np.ceil(np.round(np.array(latencies) * SAMPLE_NS) / SAMPLE_NS))
     np.testing.assert_array_equal(np.diff(began), took[: len(began) - 1])
-    low, high = limit_tables(scenario.controller.limits(24))
+    low, high = stack_limits(scenario.controller.limits(24))
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
     assert (np.abs(change) <= scenario.problem.du_max + np.spacing(scenario.vessel.tau_max)).all()
     assert (log.tau <= high).all() and (log.tau >= low).all()

@@ -17,7 +17,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.open import open_workspace
@@ -50,7 +50,9 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
             "move_weight_relative": 0.1,
         },
     } | changes.pop("controller", {})
-    return scenario_of(plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"})
+    return build_scenario(
+        plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"}
+    )
 
 
 def steered_by(solver: str, case: Scenario, formulation: Formulation = "condensed_box") -> RawLog:

@@ -22,11 +22,11 @@ from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.timed_solver import HUNG, RunDelay, TimedSolver, interrupting, run_delay
+from dpbench.bench.run.timed_solver import HANG_DETAIL, RunDelay, TimedSolver, run_delay, step_alarm
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, words_of
+from dpbench.solvers.contract import Workspace, describe_exception
 
 LIMIT_S = 0.05
 
@@ -52,7 +52,7 @@ class Spinning(Workspace):
         except BaseException as error:
             if not self._catches:
                 raise
-            self._words = words_of(error)
+            self._words = describe_exception(error)
 
     def read(self) -> Solution:
         return Solution(Status.SOLVED, np.ones(1), np.zeros(1), np.zeros(1))
@@ -72,7 +72,7 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
     workspace = Spinning(catches=catches)
     solver = timed(workspace)
     solver.prepare()
-    with interrupting(LIMIT_S, time.perf_counter_ns):
+    with step_alarm(LIMIT_S, time.perf_counter_ns):
         answer = solver.answer(STEP)
         assert answer.status is Status.TIME_LIMIT and "limit of 0.05 s" in answer.detail
         assert sum(ns for ns in solver.phases_ns if ns > 0) >= LIMIT_S * 1e9
@@ -83,7 +83,7 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
 
 def test_an_alarm_outside_of_a_step_is_none() -> None:
     solver = timed(Spinning(catches=False))
-    with interrupting(0.01, time.perf_counter_ns):
+    with step_alarm(0.01, time.perf_counter_ns):
         until = time.monotonic() + 0.05
         while time.monotonic() < until:
             pass
@@ -111,7 +111,7 @@ class Leaving(Workspace):
     def read(self) -> Solution:
         answer = self._inner.read()
         if self._k == self._at and self._fails:
-            return Solution.missing(len(answer.z), len(answer.y), Status.TIME_LIMIT, HUNG)
+            return Solution.missing(len(answer.z), len(answer.y), Status.TIME_LIMIT, HANG_DETAIL)
         return answer
 
     def setup(self, qp: QuadraticProgram) -> None:
@@ -154,7 +154,7 @@ def goes_on(
 
     for fails in (True, False):
         workspace = leaving(opened(), fails)
-        workspace.opened_again = opened
+        workspace.reopen = opened
         setup = closed_loop_setup(cell, scenario, workspace, new_log, NO_LIMIT_NS)
         with nullcontext() if fails else pytest.raises(SystemExit):
             assert closed_loop(setup)

@@ -21,13 +21,13 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.sequences.loop_sequences import AVERAGE_S, consequence_sequence, required_force
-from dpbench.bench.sequences.source import log_size, replayed
+from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.mpc.thrusters.static_allocation import LossAllocation
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 SIDES = 16
@@ -111,7 +111,7 @@ def regrouped(groups: dict[str, str]) -> Scenario:
     files = copy.deepcopy(load_scenario("thrusters").files)
     for table in files["vessel"]["thrusters"]:
         table["group"] = groups.get(table["name"], "")
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
@@ -207,7 +207,7 @@ def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     exact.save(tmp_path / "loop.npz")
     cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
     for cell, group in zip(cells, GROUPS, strict=True):
-        found = replayed(cell, tmp_path / "loop.npz")
+        found = read_replay(cell, tmp_path / "loop.npz")
         whole = consequence_sequence(case, exact.tau, group)
         np.testing.assert_array_equal(found.sequence.l, whole.l[3:8])
         np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])

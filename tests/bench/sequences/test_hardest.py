@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.run_request import with_choices
+from dpbench.bench.plan.run_request import select_part
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
@@ -18,7 +18,7 @@ from dpbench.bench.sequences.loop_sequences import (
     hardest_window,
     hardness,
 )
-from dpbench.bench.sequences.source import replayed, source_file
+from dpbench.bench.sequences.source import read_replay, source_file
 from dpbench.errors import InputError
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
@@ -120,11 +120,11 @@ def test_a_window_that_cannot_be_is_refused(table: dict[str, object], words: str
 
 def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
     """`--steps` is the most of every replay; a scenario of one's own may be shorter too."""
-    cut = with_choices(suite_of(steps=450, hardest=50), steps=20)
+    cut = select_part(suite_of(steps=450, hardest=50), steps=20)
     assert [p.cell.steps for p in plan(cut)] == [20]
-    wide = with_choices(suite_of(steps=450, hardest=50), steps=100)
+    wide = select_part(suite_of(steps=450, hardest=50), steps=100)
     assert [(p.cell.steps, p.cell.last_step) for p in plan(wide)] == [(50, 100)]
-    other = with_choices(suite_of(first=100, steps=450, hardest=5000), scenarios=["paper"])
+    other = select_part(suite_of(first=100, steps=450, hardest=5000), scenarios=["paper"])
     assert [(p.cell.steps, p.cell.last_step) for p in plan(other)] == [(1000, 1000)]
 
 
@@ -133,9 +133,9 @@ def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
     source_file(whole).make(path)
     window = cell(steps=200, hardest=30)
     source_file(window).make(short)
-    all_of, found = replayed(whole, path), replayed(window, path)
+    all_of, found = read_replay(whole, path), read_replay(window, path)
     first = found.sequence.meta["first"]
-    again = replayed(window, short)
+    again = read_replay(window, short)
     assert again.sequence.meta["first"] == first
     assert 0 <= first <= 170
     assert found.optima is not None
@@ -154,9 +154,9 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     source = HardestSource(scenario.name, 450)
     window = Cell("replay", scenario.files, "daqp", "native", "fresh", "default", 10, source=source)
     source_file(window).make(tmp_path / "loop.npz")
-    kinds = [o.kind for o in replayed(window, tmp_path / "loop.npz").optima or []]
+    kinds = [o.kind for o in read_replay(window, tmp_path / "loop.npz").optima or []]
     assert kinds.count("infeasible") >= 1
-    assert replayed(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400
+    assert read_replay(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400
 
 
 def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:

@@ -27,10 +27,10 @@ from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.errors import ShapeError
-from dpbench.qp.program import Units, in_own_units
+from dpbench.qp.program import Units, convert_units
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
-from dpbench.qp.referee.referee import certified, certify
+from dpbench.qp.referee.referee import certify, certify_sequence
 
 Arrays = dict[str, Any]
 STEPS = 30
@@ -109,7 +109,7 @@ def same(found: QPSequence, wanted: QPSequence, rtol: float = 0.0) -> None:
 def test_a_random_sequence_survives_its_file(family: str, tmp_path: Path) -> None:
     rows = 0 if family == "no_rows" else 6
     sequence = random_sequence(RandomRecipe(family, 4, rows, 1, steps=6, block=2))
-    optima = certified(sequence)
+    optima = certify_sequence(sequence)
     save_sequence(tmp_path / "one.npz", sequence, optima)
     recorded = load_recorded(tmp_path / "one.npz")
     same(recorded.sequence, sequence)
@@ -270,7 +270,7 @@ def test_a_change_of_units_keeps_cost_and_feasibility(seed: int, moves: int, row
     rng = np.random.default_rng(seed)
     scaled = random_sequence(RandomRecipe("plain", moves, rows, seed, steps=2))
     units = Units(10.0 ** rng.uniform(-2, 4, moves), 10.0 ** rng.uniform(-2, 4, rows))
-    own = in_own_units(scaled, units)
+    own = convert_units(scaled, units)
     for k in range(2):
         z = rng.standard_normal(moves)
         before, after = scaled.problem(k), own.problem(k)
@@ -290,4 +290,4 @@ def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'imperial'"):
         load_sequence(path, units="imperial")
     with pytest.raises(ShapeError, match="row"):
-        in_own_units(sequence, Units(np.ones(3), np.ones(3)))
+        convert_units(sequence, Units(np.ones(3), np.ones(3)))

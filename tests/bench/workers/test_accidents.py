@@ -22,7 +22,7 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
-from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
@@ -68,7 +68,7 @@ def suite(tmp_path: Path) -> Path:
 
 def run(suite: Path, out: Path) -> int:
     """Cells that the benchmark lost."""
-    return accidents(run_campaign(suite, out))[0]
+    return read_accidents(run_campaign(suite, out))[0]
 
 
 def outcomes(out: Path) -> list[str]:
@@ -291,7 +291,7 @@ def test_a_scratch_folder_that_is_removed_costs_only_what_was_in_it(
     runs = load_results(out).runs
     lost = (runs["mode"] == "replay") & (runs["scenario"] != "")
     assert runs["outcome"].tolist() == ["lost" if gone else "finished" for gone in lost]
-    assert accidents(out)[0] == lost.sum() == 2
+    assert read_accidents(out)[0] == lost.sum() == 2
     kept = runs.loc[~lost, "raw_max_ns"].tolist()
     assert run(suite, out) == 0
     assert set(outcomes(out)) == {"finished"}

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.plan.suite import sequence_suite
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
@@ -22,7 +22,7 @@ from dpbench.bench.worst_case.goal import worst_of
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
 from dpbench.solvers import plugins
 
 pytestmark = pytest.mark.slow
@@ -98,7 +98,7 @@ def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
-    again = record(scenario_of(saved.documents))
+    again = record(build_scenario(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
         np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))
@@ -168,7 +168,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
 Row = tuple[Status, float, bool, int, str]
 
 
-def judged(*rows: Row) -> Evaluated:
+def judged(*rows: Row) -> EvaluatedCell:
     """A replay of a warm-up step, which must not count, and a row per answer."""
     all_rows: list[Row] = [(Status.SOLVED, BIG, False, 10**6, "linear"), *rows]
     status, error, true, iterations, kind = zip(*all_rows, strict=True)
@@ -185,7 +185,7 @@ def judged(*rows: Row) -> Evaluated:
         "certificate": np.array([CERTIFICATES.index(name) for name in kind]),
         "evaluations": evaluations,
     }
-    return Evaluated(columns, {})
+    return EvaluatedCell(columns, {})
 
 
 ACCURATE: Row = (Status.SOLVED, 1e-9, True, 5, "linear")

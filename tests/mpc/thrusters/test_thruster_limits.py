@@ -22,7 +22,7 @@ from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.mpc.thrusters.attainable_set import attainable_set
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, condense, load_scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, condense, load_scenario, load_vessel
 from dpbench.ship.thrusters import ThrusterSet
 
 part = st.floats(-1.0, 1.0)
@@ -172,7 +172,7 @@ def force_case(steps: int) -> Scenario:
         "limits": "attainable",
         "attainable_sides": 4,
     }
-    return scenario_of(files | {"scenario": own | {"controller": table}})
+    return build_scenario(files | {"scenario": own | {"controller": table}})
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -206,7 +206,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     files = load_scenario("rough").files
     table = files["scenario"]["controller"] | {"limits": "attainable"}
     with pytest.raises(InputError, match=r'controller.limits: found "attainable"; allowed: "box"'):
-        scenario_of(files | {"scenario": files["scenario"] | {"controller": table}})
+        build_scenario(files | {"scenario": files["scenario"] | {"controller": table}})
     first, *others = thrusters_of("osv").thrusters[::-1]
     others[0] = replace(others[0], sector_rad=(0.0, 1.0))
     with pytest.raises(InputError, match="sector_deg"):

@@ -12,7 +12,7 @@ import scipy.sparse
 
 from dpbench.mpc.condense import ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.model import StateSpace, prediction_model
+from dpbench.mpc.model import StateSpace, build_prediction_model
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import thruster_rows
 from dpbench.qp.program import QuadraticProgram
@@ -33,7 +33,7 @@ THRUSTERS = ThrusterSet(
         Thruster("tunnel", "tunnel", 30.0, 0.0, 1.1e5, 5.0),
     )
 )
-PLAIN = prediction_model(SHIP.M, SHIP.D, 0.3, SAMPLE_S)
+PLAIN = build_prediction_model(SHIP.M, SHIP.D, 0.3, SAMPLE_S)
 
 
 def problem(
@@ -162,7 +162,7 @@ def test_softened_limits_change_nothing_where_they_can_be_kept() -> None:
 
 
 def test_the_mirrored_ship_gets_the_mirrored_plan() -> None:
-    level = prediction_model(SHIP.M, SHIP.D, 0.0, SAMPLE_S)
+    level = build_prediction_model(SHIP.M, SHIP.D, 0.0, SAMPLE_S)
     builder = CondensedQP(problem(16, model=level))
     axes = np.array([1.0, -1.0, -1.0])
     swap, sign = [2, 3, 0, 1, 4, 5, 6], np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0])

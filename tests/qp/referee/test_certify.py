@@ -19,7 +19,7 @@ from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.referee.referee import Referee, certify, error_of, referee_of
+from dpbench.qp.referee.referee import Referee, certify, get_shared_referee, measure_error
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import condense, load_scenario
@@ -131,7 +131,7 @@ def test_nothing_is_claimed_without_a_unique_optimum(last: float, q: list[float]
     optimum = certify(QuadraticProgram(np.diag([1.0, last]), q, np.zeros((0, 2)), [], [], *BOX))
     assert (optimum.kind, optimum.bound) == ("none", INF)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(error_of(np.zeros(2), optimum, 0)).all()
+    assert np.isnan(measure_error(np.zeros(2), optimum, 0)).all()
 
 
 def test_inputs_are_copied_and_left_alone() -> None:
@@ -250,6 +250,8 @@ def test_what_is_known_of_the_matrices_changes_no_answer() -> None:
 
     alone = [certified(Referee(*matrices), run) for run in range(2)]
     for run in (0, 1, 1, 0):
-        for found, wanted in zip(certified(referee_of(*matrices), run), alone[run], strict=True):
+        for found, wanted in zip(
+            certified(get_shared_referee(*matrices), run), alone[run], strict=True
+        ):
             for part in fields(Optimum):
                 np.testing.assert_array_equal(getattr(found, part.name), getattr(wanted, part.name))

@@ -15,7 +15,7 @@ from dpbench.qp.referee.feasibility.implied import fix_forced
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import certify
-from dpbench.qp.residuals import best_multipliers, is_true, residuals
+from dpbench.qp.residuals import fit_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 
 BOUND = 1e-9
@@ -143,7 +143,7 @@ def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
     qp = known.qp
     optimum = certify(qp)
     own = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-    best = Solution(Status.UNKNOWN, known.z, *best_multipliers(qp, known.z, 1e-6))
+    best = Solution(Status.UNKNOWN, known.z, *fit_multipliers(qp, known.z, 1e-6))
     for answer in (own, best):
         assert is_true(qp, residuals(qp, answer), 0.0, 1e-6)
         # 1e-9 of the size of the multipliers, which are below 2^25 here.

@@ -18,7 +18,7 @@ from dpbench.qp.referee.feasibility.farkas import (
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.referee import Referee, certify, claim_is_true, error_of
+from dpbench.qp.referee.referee import Referee, certify, claim_is_true, measure_error
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -54,7 +54,7 @@ def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bo
     assert optimum.kind == "infeasible"
     assert farkas_valid(qp, optimum.y, optimum.y_box)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(error_of(np.zeros(n), optimum, 0)).all()
+    assert np.isnan(measure_error(np.zeros(n), optimum, 0)).all()
 
 
 @pytest.mark.slow

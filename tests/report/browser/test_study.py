@@ -99,7 +99,7 @@ def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
     assert chosen["sc"] == "seas: point 0, sea 3"
     marked = [row for row in _rows(page, "behind", "seas") if row["chosen"]]
     assert [(row["name"], row["replicate"]) for row in marked] == [("osqp", 3)]
-    assert marked[0]["behind_cm"] == pytest.approx(0.6)
+    assert marked[0]["error_excess_cm"] == pytest.approx(0.6)
     output = page.inner_text("#study-said")
     page.reload()
     wait_until_ready(page)

@@ -11,13 +11,13 @@ import pytest
 from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import COMMENT_BYTES, beside
+from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
 def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
     """At most 3 kB; the usual two, without the solver itself."""
-    text, worst = beside(written.report, solver)
+    text, worst = compare_solver(written.report, solver)
     assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
     assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
@@ -41,12 +41,12 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:
-    text, _ = beside(written.report, "piqp", ["clarabel"])
+    text, _ = compare_solver(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp beside clarabel\n")
     with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: piqp, "):
-        beside(written.report, "piq")
+        compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
-        beside(written.report, "piqp", ["nobody"])
+        compare_solver(written.report, "piqp", ["nobody"])
 
 
 @pytest.mark.slow

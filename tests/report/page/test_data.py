@@ -129,7 +129,9 @@ def test_every_sea_has_its_errors(records: Any) -> None:
         same = (runs["study_point"] == own["point"][i]) & (runs["replicate"] == own["sea"][i])
         (reference,) = runs[same & (runs["solver"] == "daqp")]["r_95_m"]
         assert own["tail_m"][i] == pytest.approx(run["r_tail_max_m"], rel=1e-3)
-        assert own["behind_cm"][i] == pytest.approx(100 * (run["r_95_m"] - reference), abs=1e-3)
+        assert own["error_excess_cm"][i] == pytest.approx(
+            100 * (run["r_95_m"] - reference), abs=1e-3
+        )
         assert own["held"][i] == (run["r_tail_max_m"] <= 1.0)
         configuration = facts.configurations[study["c"][own["of"][i]]]
         assert (configuration.solver, configuration.settings) == (run["solver"], run["settings"])

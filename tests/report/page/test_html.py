@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from markupsafe import escape
 
-from dpbench.bench.record.result_folder import hashes
+from dpbench.bench.record.result_folder import hash_files
 from dpbench.report.page.vendored import Vendored, digest, script, vendored
 from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
@@ -29,8 +29,8 @@ CITATION = Path(__file__).parents[3] / "CITATION.cff"
 VOID = {"meta", "img", "br", "link", "input", "hr"}
 WRITE = """
 import sys
-from dpbench.report.write import report_and_ending
-report_and_ending(sys.argv[1], figures=("pdf",))
+from dpbench.report.write import write_report_with_summary
+write_report_with_summary(sys.argv[1], figures=("pdf",))
 """
 JS = "".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)
 
@@ -146,7 +146,7 @@ def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
         file.truncate(64_000_000)
     tracemalloc.start()
     try:
-        found = hashes(tmp_path, ["steps.parquet", "absent"])
+        found = hash_files(tmp_path, ["steps.parquet", "absent"])
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

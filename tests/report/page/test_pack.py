@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from dpbench.analysis.records.kept_runs import (
     FORCES,
     TRACK,
-    KeptRun,
-    extremes,
+    ThinnedRun,
+    extreme_indices,
+    thin_track,
     thinned_indices,
-    track_of,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_steps import MEASURES, RunSteps, hardest
+from dpbench.analysis.records.run_steps import MEASURES, RunSteps, find_hardest_steps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
@@ -217,13 +217,13 @@ def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
     assert len(set(np.diff(chosen[~extra]))) == 1
     for measure in MEASURES:
-        assert {hard.at for hard in hardest(run, measure, 5)} <= set(chosen.tolist())
+        assert {hard.at for hard in find_hardest_steps(run, measure, 5)} <= set(chosen.tolist())
 
 
 def test_left_out_steps_are_missing_in_the_block() -> None:
     run, whole, thin = _long(20_000), Block(), Block()
-    of_whole = pack_steps(whole, KeptRun.of(run, 20_000))
-    of_thin = pack_steps(thin, KeptRun.of(run, 600))
+    of_whole = pack_steps(whole, ThinnedRun.of(run, 20_000))
+    of_thin = pack_steps(thin, ThinnedRun.of(run, 600))
     assert of_whole["first"] == of_thin["first"] == 7
     assert len(thin.text({})) < 0.1 * len(whole.text({}))
     all_steps, some = (
@@ -238,7 +238,7 @@ def test_left_out_steps_are_missing_in_the_block() -> None:
 def test_a_track_has_no_more_points_than_it_may() -> None:
     names = [*TRACK, *FORCES]
     table = pd.DataFrame({name: np.arange(1001.0) for name in names})
-    track = track_of(table, np.ones(3), 100)
+    track = thin_track(table, np.ones(3), 100)
     assert len(track.position) == 91 and track.every == 11
     np.testing.assert_array_equal(track.position[:, 0], np.arange(1001.0)[::11])
 
@@ -246,9 +246,9 @@ def test_a_track_has_no_more_points_than_it_may() -> None:
 def test_extremes_of_a_line_are_drawn() -> None:
     values = np.sin(np.arange(100_000) / 50.0)
     values[[3, 70_001]] = 5.0, -5.0
-    places = extremes(values, 1000)
+    places = extreme_indices(values, 1000)
     assert len(places) <= 1000 and {3, 70_001} <= set(places.tolist())
-    assert len(extremes(values[:1000], 1000)) == 1000
+    assert len(extreme_indices(values[:1000], 1000)) == 1000
 
 
 def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeypatch: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.fastest import best_of_each, choose_solver
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.errors import InputError
@@ -69,7 +69,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows
-    best = best_of_each(written.report.data.verdicts)
+    best = best_verdict_by_solver(written.report.data.verdicts)
     assert len(body) == len(best) == len(written.report.data.verdicts.of)
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))

@@ -17,7 +17,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.cli.main import main
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.report import Report
-from dpbench.report.write import report_and_ending, write_report
+from dpbench.report.write import write_report, write_report_with_summary
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from tests.report.page.test_html import checked
 
@@ -152,7 +152,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     fill, lead, topics = KINDS[kind]
     fill(records)
     out = records.write(tmp_path / "out")
-    page, lines = report_and_ending(out)
+    page, lines = write_report_with_summary(out)
     html, text = page.read_text("utf-8"), (out / "report.md").read_text("utf-8")
     found = checked(html)
     shown = _words(html)

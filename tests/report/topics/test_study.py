@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.suites import study_pictures
-from dpbench.analysis.suites.study import studies
+from dpbench.analysis.suites.study import find_studies
 from dpbench.report.charts.render import vega
 from dpbench.report.topics import study as topic
 
@@ -36,7 +36,7 @@ def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None 
                     exact_cost=100.0 - (solver == "osqp"),
                     outcome="crashed" if behind and (point, sea) == lost else "finished",
                 )
-    return topic.study_topic(studies(records.view()))
+    return topic.study_topic(find_studies(records.view()))
 
 
 def _drawn(figure: Any, column: str) -> list[float]:
@@ -49,7 +49,7 @@ def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
     held, behind = found.figures
     assert len(_drawn(held, "held")) == 2 * 5 and "at each point" in held.caption
-    assert len(_drawn(behind, "behind_cm")) == 20 and "at even ranks" not in behind.caption
+    assert len(_drawn(behind, "error_excess_cm")) == 20 and "at even ranks" not in behind.caption
 
 
 def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
@@ -60,7 +60,7 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
     held, behind = found.figures
     assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
     assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
-    dots = _drawn(behind, "behind_cm")
+    dots = _drawn(behind, "error_excess_cm")
     assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
 
 

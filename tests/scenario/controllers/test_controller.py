@@ -11,9 +11,9 @@ from dpbench.bench.judge.closed_loop import METRICS
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.mpc.move_limits import AxisLimit, MoveLimit
 from dpbench.mpc.thruster_rows import Limits
-from dpbench.scenario.controllers.controller import MetricGroup, limit_tables, limits_at_samples
+from dpbench.scenario.controllers.controller import MetricGroup, limits_at_samples, stack_limits
 from dpbench.scenario.controllers.forces import ForceController
-from dpbench.scenario.scenario import CONTROLLERS, load_scenario, scenario_of
+from dpbench.scenario.scenario import CONTROLLERS, build_scenario, load_scenario
 from dpbench.scenario.tables.scenario_file import ControllerTable
 
 
@@ -42,8 +42,8 @@ def test_limits_hold_until_the_next_change(changes: list[tuple[int, int]], high:
     own, *changed = (Limits(np.array([-h]), np.array([h])) for h in (9, *(h for _, h in changes)))
     pairs = tuple(zip((k for k, _ in changes), changed, strict=True))
     limits = limits_at_samples(own, pairs, 4)
-    np.testing.assert_array_equal(limit_tables(limits)[1][:, 0], high)
-    np.testing.assert_array_equal(limit_tables(limits)[0][:, 0], np.negative(high))
+    np.testing.assert_array_equal(stack_limits(limits)[1][:, 0], high)
+    np.testing.assert_array_equal(stack_limits(limits)[0][:, 0], np.negative(high))
 
 
 class Gentle(ForceController):
@@ -61,7 +61,7 @@ def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> Non
 
     usual = load_scenario("paper").first(8)
     monkeypatch.setitem(CONTROLLERS, "forces", gentle)
-    made = scenario_of(usual.files).first(8)
+    made = build_scenario(usual.files).first(8)
     assert type(made.controller) is Gentle
     for scenario, share in ((usual, 1.0), (made, 1.0 / 3.0)):
         change = np.diff(solve_exactly(scenario).tau, axis=0, prepend=np.zeros((1, 3)))

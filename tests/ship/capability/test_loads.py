@@ -14,7 +14,7 @@ from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.ship.capability.conditions import (
     DP_CONDITIONS,
     Condition,
-    condition_of_wind,
+    interpolate_condition,
 )
 from dpbench.ship.capability.loads import CapabilityHull, mean_loads
 
@@ -40,7 +40,7 @@ def test_loads_are_the_published_ones(hull: CapabilityHull, published: pd.DataFr
 def test_weather_from_port_is_the_mirror_image(from_rad: float, wind_mps: float) -> None:
     """A hull is symmetric: surge stays, sway and yaw turn round."""
     some = CapabilityHull(80.0, 18.0, 5.0, 82.0, 1.0, 0.4, 1.2, 300.0, 900.0, 3.0, 400.0, -2.0)
-    condition = condition_of_wind(wind_mps)
+    condition = interpolate_condition(wind_mps)
     starboard, port = (mean_loads(some, condition, angle) for angle in (from_rad, -from_rad))
     np.testing.assert_allclose(port, starboard * PORT, rtol=1e-12, atol=1e-6)
 
@@ -48,11 +48,11 @@ def test_weather_from_port_is_the_mirror_image(from_rad: float, wind_mps: float)
 def test_rows_of_the_table_are_met_and_joined() -> None:
     """At a row its waves and current; between two rows, between theirs."""
     for wind_mps, *rest in DP_CONDITIONS.values():
-        found = condition_of_wind(wind_mps)
+        found = interpolate_condition(wind_mps)
         np.testing.assert_allclose([found.hs_m, found.tp_s, found.current_mps], rest)
-    middle = condition_of_wind(0.5 * (13.8 + 17.1))
+    middle = interpolate_condition(0.5 * (13.8 + 17.1))
     assert middle.hs_m == pytest.approx(0.5 * (3.1 + 4.2))
-    assert condition_of_wind(0.0).hs_m == condition_of_wind(0.0).current_mps == 0.0
+    assert interpolate_condition(0.0).hs_m == interpolate_condition(0.0).current_mps == 0.0
 
 
 def test_a_ship_of_ones_own_gets_the_weather_of_the_same_table() -> None:

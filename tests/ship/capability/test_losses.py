@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, condition_of_wind
+from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, interpolate_condition
 from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
@@ -48,10 +48,12 @@ def test_waves_take_more_the_higher_they_are_and_nothing_unknown(
 ) -> None:
     """β_vent falls with the wind; a thruster whose screw is not known loses nothing."""
     for thruster in thrusters.thrusters:
-        shares = [vented_share(thruster, hull, condition_of_wind(w), 1.5) for w in (5, 15, 25, 32)]
+        shares = [
+            vented_share(thruster, hull, interpolate_condition(w), 1.5) for w in (5, 15, 25, 32)
+        ]
         assert (np.diff(shares) <= 0.0).all()
     bare = Thruster("bare", "tunnel", 30.0, 0.0, 1e5, 8.0)
-    assert vented_share(bare, hull, condition_of_wind(32.0), 1.5) == 1.0
+    assert vented_share(bare, hull, interpolate_condition(32.0), 1.5) == 1.0
 
 
 def test_a_working_thruster_is_not_flushed() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import TURN, dead_losses, forbidden_zones, skeg_losses
-from dpbench.ship.capability.shapes import Piece, pieces
+from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.thrusters import ThrusterSet
 
 STEP = math.radians(1.0)
@@ -52,7 +52,7 @@ def test_the_pieces_are_what_zones_and_losses_leave(
     working = [every[i] for i in range(len(every)) if i not in dead]
     zones = forbidden_zones(every[1], working)
     losses = dead_losses(every[1], [every[i] for i in dead]), skeg_losses(every[1], hull)
-    shape = pieces(None, zones, *losses, STEP)
+    shape = convex_pieces(None, zones, *losses, STEP)
     assert bool(zones) == (0 not in dead)
     for direction in np.linspace(0.001, TURN, 180):
         shares = [min((loss.at(direction) for loss in kind), default=1.0) for kind in losses]
@@ -70,7 +70,7 @@ def test_corners_lie_on_the_edge_and_chords_inside(
     true = np.array([losses[0].at(a) for a in angle])
     gaps = []
     for step in (16.0, 8.0, 4.0, 2.0):
-        shape = pieces(None, [], [], losses, math.radians(step))
+        shape = convex_pieces(None, [], [], losses, math.radians(step))
         gap = true - np.array([reach(shape, a) for a in angle])
         assert gap.min() > -1e-8
         gaps.append(gap.max())
@@ -83,7 +83,7 @@ def test_every_piece_is_convex_and_at_most_half_a_turn(
     """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off."""
     starboard = thrusters.thrusters[1]
     zones = forbidden_zones(starboard, thrusters.thrusters)
-    shape = pieces(None, zones, [], skeg_losses(starboard, hull), STEP)
+    shape = convex_pieces(None, zones, [], skeg_losses(starboard, hull), STEP)
     assert len(shape) == 3
     for piece in shape:
         assert piece.sector is not None
@@ -92,11 +92,11 @@ def test_every_piece_is_convex_and_at_most_half_a_turn(
 
 def test_without_losses_it_is_the_circle_and_a_sector_stays_one() -> None:
     """One piece without rows; a sector without zones; nothing where all of it is forbidden."""
-    (whole,) = pieces(None, [], [], [], STEP)
+    (whole,) = convex_pieces(None, [], [], [], STEP)
     assert whole.sector is None
     assert len(whole.chords) == 0
-    (sector,) = pieces((0.5, 2.0), [], [], [], STEP)
+    (sector,) = convex_pieces((0.5, 2.0), [], [], [], STEP)
     assert sector.sector == (0.5, 2.0)
-    assert pieces((0.5, 2.0), [(0.4, 2.1)], [], [], STEP) == []
-    left = pieces((0.5, 2.0), [(1.0, 1.2), (1.9 - TURN, 2.2 - TURN)], [], [], STEP)
+    assert convex_pieces((0.5, 2.0), [(0.4, 2.1)], [], [], STEP) == []
+    left = convex_pieces((0.5, 2.0), [(1.0, 1.2), (1.9 - TURN, 2.2 - TURN)], [], [], STEP)
     np.testing.assert_allclose([p.sector for p in left], [(0.5, 1.0), (1.2, 1.9)])

@@ -11,10 +11,12 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries.hpipm_ocp import Stage, split_stages
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 from tests.solvers.conftest import run_program, solve_next
 
-needs_casadi = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
+needs_casadi = pytest.mark.skipif(
+    not check_availability("hpipm_ocp").ok, reason="casadi is not installed"
+)
 
 TIGHT = {
     **dict.fromkeys(("tol_stat", "tol_eq", "tol_ineq", "tol_comp"), 1e-10),

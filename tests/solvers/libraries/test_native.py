@@ -16,10 +16,10 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.libraries.native_workspace import Start
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available
+from dpbench.solvers.table import TABLE, check_availability
 from tests.solvers.conftest import Sequence, solve_next, solve_qp
 
-HERE = [name for name in NATIVE if available(name).ok]
+HERE = [name for name in NATIVE if check_availability(name).ok]
 WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
 
 
@@ -208,7 +208,7 @@ def test_a_step_leaves_no_memory_behind(solver, sequence):
 LIMITED = [
     (name, route, policy)
     for name, row in TABLE.items()
-    if row.time_limit and available(name).ok
+    if row.time_limit and check_availability(name).ok
     for route, policies in row.policies.items()
     for policy in policies
 ]

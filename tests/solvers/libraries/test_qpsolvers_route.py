@@ -13,10 +13,10 @@ from dpbench.solvers.libraries import THROUGH_QPSOLVERS
 from dpbench.solvers.libraries import qpsolvers_workspace as qpsolvers_route
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available
+from dpbench.solvers.table import TABLE, check_availability
 from tests.solvers.conftest import Configuration, solve_qp
 
-THROUGH = [name for name in THROUGH_QPSOLVERS if available(name).ok]
+THROUGH = [name for name in THROUGH_QPSOLVERS if check_availability(name).ok]
 
 
 @pytest.mark.parametrize("solver", THROUGH)

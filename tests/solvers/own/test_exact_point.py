@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import planted
+from dpbench.qp.random_sequence import plant_sequence
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import sequence_path
@@ -27,7 +27,7 @@ def bound_of(qp, z, y, y_box):
 @given(st.sampled_from(["plain", "equal", "free", "infinite_bounds"]), st.integers(1, 10**6))
 def test_an_optimum_is_bounded_to_rounding(family, seed):
     """At the planted optimum the bound is rounding; it holds where the answer is moved off it."""
-    found = planted(RandomRecipe(family, 5, 8, seed=seed, steps=1))
+    found = plant_sequence(RandomRecipe(family, 5, 8, seed=seed, steps=1))
     qp = found.sequence.problem(0)
     z, y, y_box = found.z[0], found.y[0], found.y_box[0]
     assert bound_of(qp, z, y, y_box) <= 1e-9

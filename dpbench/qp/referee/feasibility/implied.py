@@ -23,7 +23,7 @@ from scipy.optimize import linprog
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import in_integers
-from dpbench.qp.referee.gap import independent
+from dpbench.qp.referee.gap import select_independent
 from dpbench.qp.referee.joint import JointQP, Signs
 
 NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
@@ -140,7 +140,7 @@ def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
 def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
     """Drop the equality rows that are exact combinations of others; None if one is not."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-    basis = independent(problem.C, equal, equal)
+    basis = select_independent(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)
     L, U = problem.L.copy(), problem.U.copy()
     for i in rest:

@@ -77,7 +77,7 @@ function scaled(value, column) {
 
 // The rows behind the p99 that the page names; of what was not timed, those of the chosen experiment.
 function drawQuery() {
-  const p = C().timed_at?.[state.c] ?? state.p, run = cell(state.c, p);
+  const p = C().timed_experiment_index?.[state.c] ?? state.p, run = cell(state.c, p);
   $("data-query").parentElement.hidden = !run;
   $("data-query").textContent = !run ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`

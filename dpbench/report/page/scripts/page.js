@@ -11,7 +11,7 @@ function beside() {
 // The line that stays: the chosen one with its times and where it is shown; on a phone without what
 // stands elsewhere too.
 function drawChosen() {
-  const c = state.c, timed = facts.experiments[C().timed_at[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
+  const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
   const wide = (text) => {
     const span = document.createElement("span");
     span.className = "wide-only"; span.textContent = text;

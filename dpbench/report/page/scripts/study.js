@@ -99,8 +99,8 @@ function meanRows(study) {
 function behindRows(study) {
   const { point, sea } = there(study);
   return study.runs.of.map((_, i) => i)
-    .filter((i) => study.runs.point[i] === point && study.runs.behind_cm[i] !== null && study.runs.of[i] !== study.reference)
-    .map((i) => ({ name: study.names[study.runs.of[i]], c: study.c[study.runs.of[i]], behind_cm: study.runs.behind_cm[i],
+    .filter((i) => study.runs.point[i] === point && study.runs.error_excess_cm[i] !== null && study.runs.of[i] !== study.reference)
+    .map((i) => ({ name: study.names[study.runs.of[i]], c: study.c[study.runs.of[i]], error_excess_cm: study.runs.error_excess_cm[i],
       replicate: study.runs.sea[i], chosen: study.runs.sea[i] === sea && study.c[study.runs.of[i]] === state.c }));
 }
 
@@ -110,12 +110,12 @@ function studySaid(study) {
   const at = `Point ${point} (${valuesAt(study, i)})`;
   if (who < 0) return `${at}. ${label(state.c)} is not in this study.`;
   const own = runsOf(study, who, point), all = runsOf(study, who), held = (list) => list.filter((j) => study.runs.held[j]).length;
-  const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.behind_cm[run];
+  const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.error_excess_cm[run];
   const tail = run === undefined ? null : study.runs.tail_m[run];
   const here = run === undefined ? "was not run" : tail === null ? "did not end"
     : `${study.runs.held[run] ? "held" : "not held"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
-  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.none_of);
+  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
     ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
   return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${held(own)} of ${own.length} seas, over all points in `
