@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from dpbench.report.topics.consequence import consequence_topic
+from dpbench.report.topics.capability import consequence_topic
 
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
 from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
