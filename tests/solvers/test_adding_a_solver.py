@@ -54,12 +54,12 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.settings import describe_levels, resolve, setting_names
-from dpbench.solvers.table import TABLE, available, native_adapter
+from dpbench.solvers.table import TABLE, check_availability, native_adapter
 facts = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
     facts[name] = dict(
-        routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
+        routes=row.policies, ok=check_availability(name).ok, levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
         c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,

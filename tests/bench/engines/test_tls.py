@@ -16,7 +16,7 @@ from dpbench.errors import InputError
 WHY = "engine dask needs the extra `cluster`"
 dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
 distributed = pytest.importorskip("distributed", reason=WHY)
-connected, Security = dask_cluster.connected, dask_cluster.Security
+connect_client, Security = dask_cluster.connect_client, dask_cluster.Security
 # The scheduler and its worker are processes that answer within limits of real time.
 pytestmark = pytest.mark.alone
 
@@ -55,7 +55,7 @@ def scheduler(files: list[str]) -> Iterator[str]:
 
 
 def test_with_its_files_a_scheduler_is_reached(scheduler: str, files: list[str]) -> None:
-    with connected(scheduler, files) as client:
+    with connect_client(scheduler, files) as client:
         answer = client.run_on_scheduler(worker_info)
     assert answer.harness_version == worker_info().harness_version
 
@@ -67,7 +67,7 @@ def test_a_scheduler_with_tls_refuses_others(
     mixed = [files[0], *other[1:]]
     tries = ((scheduler, None), (scheduler, other), (scheduler, mixed), (plain, None))
     for address, given in tries:
-        with pytest.raises(InputError, match="which refuses"), connected(address, given):
+        with pytest.raises(InputError, match="which refuses"), connect_client(address, given):
             pass
     assert capsys.readouterr() == ("", "")
 

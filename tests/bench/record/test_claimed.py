@@ -58,9 +58,9 @@ def test_a_report_and_a_campaign_wait_for_each_other(
 HOLD = """
 import sys
 from pathlib import Path
-from dpbench.bench.record.result_folder import claimed, writing
+from dpbench.bench.record.result_folder import lock_result_folder, lock_for_writing
 folder = Path(sys.argv[2])
-with claimed(folder, "smoke") if sys.argv[1] == "campaign" else writing(folder):
+with lock_result_folder(folder, "smoke") if sys.argv[1] == "campaign" else lock_for_writing(folder):
     print("held", flush=True)
     sys.stdin.read()
 """

@@ -33,7 +33,7 @@ REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
 OTHERS = "lease_machine({}, Holder('results/other'))"
 HOLDING = """
 from dpbench.bench.workers.leases import lease_core, lease_machine
-from dpbench.locks import ALONE, TOGETHER, Holder
+from dpbench.locks import EXCLUSIVE, SHARED, Holder
 with {lease} as held:
     print(held, flush=True)
     input()
@@ -86,10 +86,10 @@ class Remarks(Silent):
 @pytest.mark.parametrize(
     ("lease", "suite", "waits"),
     [
-        ("ALONE", REPLAYS, True),
-        ("TOGETHER", REPLAYS, True),
-        ("ALONE", LOOPS, True),
-        ("TOGETHER", LOOPS, False),
+        ("EXCLUSIVE", REPLAYS, True),
+        ("SHARED", REPLAYS, True),
+        ("EXCLUSIVE", LOOPS, True),
+        ("SHARED", LOOPS, False),
     ],
 )
 def test_replays_are_timed_while_no_other_campaign_runs_cells(
@@ -123,7 +123,7 @@ def test_a_wait_ends_where_it_was_asked_to(
 ) -> None:
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     words = ["run", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--quiet"]
-    with holding(OTHERS.format("TOGETHER")) as (other, _):
+    with holding(OTHERS.format("SHARED")) as (other, _):
         assert main([*words, option, *seconds]) == 2
     out, err = capfd.readouterr()
     named = f"process {other.pid} (results/other, since 20"
@@ -136,7 +136,7 @@ def test_nobody_is_waited_for_without_measurements_that_are_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    with holding(OTHERS.format("ALONE")):
+    with holding(OTHERS.format("EXCLUSIVE")):
         assert main(["run", str(tmp_path / "tiny.toml"), "--dry-run", "--quiet"]) == 0
         assert run_closed_loop(load_scenario("paper").first(3), open_workspace("daqp"))
     assert "1 cells to run" in capsys.readouterr().out
@@ -144,10 +144,10 @@ def test_nobody_is_waited_for_without_measurements_that_are_kept(
 
 def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    with holding(OTHERS.format("TOGETHER")) as (killed, _):
+    with holding(OTHERS.format("SHARED")) as (killed, _):
         named = (lease_folder() / "machine").read_text(encoding="utf-8")
     assert f'"pid": {killed.pid}' in named
-    with holding(OTHERS.format("TOGETHER")) as (other, _):
+    with holding(OTHERS.format("SHARED")) as (other, _):
         with (lease_folder() / "machine").open("a", encoding="utf-8") as file:
             file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
         with pytest.raises(BusyError) as busy:
