@@ -59,7 +59,8 @@ facts = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
     facts[name] = dict(
-        routes=row.policies, ok=check_availability(name).ok, levels=describe_levels(name).splitlines(),
+        routes=row.policies, ok=check_availability(name).ok,
+        levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
         c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,

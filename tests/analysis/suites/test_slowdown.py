@@ -4,11 +4,11 @@ import math
 from typing import Any
 
 import pytest
-from dpbench.report.topics.capability import consequence_topic
 
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
 from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
 from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.report.topics.capability import consequence_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.sweeps import slowdown_topic
 
