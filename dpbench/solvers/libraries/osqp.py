@@ -134,6 +134,9 @@ class OsqpWorkspace(NativeWorkspace):
         self._solver = self._library.OSQPSolver(
             self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
         )
+        # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
+        # osqp 1.0 never frees.
+        self._solution = self._solver.solution
 
     def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
         self._fill(low, high)
@@ -147,7 +150,7 @@ class OsqpWorkspace(NativeWorkspace):
         return read_info(info, info.solve_time, self._options)
 
     def _read_point(self) -> Point:
-        solution, m = self._solver.solution, self._m
+        solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]
 
