@@ -25,6 +25,9 @@ LOOP_TIMINGS = 200
 HIDDEN = 1.1
 """Processor time of other threads over that of the timed calls from which work is hidden: a library
 that solves in a thread of its own stays below 1."""
+SHORTEST_S = 1e-3
+"""Time of all timed calls below which the processor time of other threads is compared with this
+one: two clocks that are read in turn differ by some 25 µs a round."""
 
 
 @lru_cache(maxsize=2)
@@ -70,8 +73,13 @@ def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
     few steps that are solved before each round without a record would count.
     """
     long = (run for run in runs if not run.window_of)
-    hidden = [run for run in long if run.thread_s > HIDDEN * run.solve_s]
-    return worst_first("hidden work", hidden, lambda run: run.thread_s / run.solve_s)
+    hidden = [run for run in long if _hidden_share(run) > HIDDEN]
+    return worst_first("hidden work", hidden, _hidden_share)
+
+
+def _hidden_share(run: RunRecord) -> float:
+    """Return the processor time of other threads over that of the timed calls."""
+    return run.thread_s / max(run.solve_s, SHORTEST_S)
 
 
 _DOUBTFUL: Mapping[str, Doubt] = {

@@ -86,6 +86,13 @@ def test_threads_that_work_longer_than_the_timed_calls_are_hidden_work(records: 
     assert _found(found) == [("hidden work", ["thrice", "twice"], 3.0)]
 
 
+def test_clocks_that_differ_are_no_hidden_work(records: Any) -> None:
+    """A call that only waited for the core has no time of its own to divide by."""
+    records.replay("clocks", thread_s=25e-6, solve_s=0.0)
+    records.replay("thread", thread_s=4e-3, solve_s=0.0)
+    assert _found(find_hidden_work(records.view().runs)) == [("hidden work", ["thread"], 4.0)]
+
+
 def _late(run: Any, kind: Any, late: int, p: float) -> LateTimings:
     return LateTimings(kind, run, late, 100, 0.25, p)
 
