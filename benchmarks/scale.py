@@ -141,10 +141,10 @@ def _twice(folder: Path, seas: int, steps: int, moves: int) -> list[Cost]:
 
 def empty_suite(folder: Path, cells: int, steps: int = 1) -> Path:
     """Some `cells` cells of the solver that does nothing."""
-    ways: dict[str, object] = {"settings": ["default", "low", "mid", "high"]}
-    ways["policies"] = ["fresh", "reuse", "warm"]
+    modes: dict[str, object] = {"settings": ["default", "low", "mid", "high"]}
+    modes["policies"] = ["fresh", "reuse", "warm"]
     folder.mkdir(parents=True, exist_ok=True)
-    return suite_of(folder / "empty.toml", "empty", -(-cells // CONFIGURATIONS), steps, **ways)
+    return suite_of(folder / "empty.toml", "empty", -(-cells // CONFIGURATIONS), steps, **modes)
 
 
 def empty_campaign(out: Path, cells: int) -> Iterator[tuple[str, ...]]:
@@ -193,8 +193,8 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
 
     def suite_in(folder: Path, seas: int) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
-        ways: dict[str, object] = {"settings": list(LEVELS), "product": POINTS}
-        return suite_of(folder / "made.toml", "daqp", seas, steps, **ways)
+        modes: dict[str, object] = {"settings": list(LEVELS), "product": POINTS}
+        return suite_of(folder / "made.toml", "daqp", seas, steps, **modes)
 
     suite, small = suite_in(out, -(-cells // (4 * len(LEVELS)))), suite_in(out / "real", 1)
     campaign(small, out / "real" / "results")
@@ -205,8 +205,8 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}
     for planned in plan(load_suite(suite)[1], beside=out):
         study = planned.cell.study
-        row, batch = real[planned.cell.settings, study["point"]]
-        sea = study["point"], study["replicate"]
+        row, batch = real[planned.cell.settings, study.point]
+        sea = study.point, study.replicate
         factor = factors.setdefault(sea, float(np.exp(0.1 * rng.standard_normal())))
         run_id = planned.cell.run_id(identity, machine, HARNESS_VERSION)
         own = _changed_row(row, factor) | {"run_id": run_id, "cell": planned.cell.to_json()}
