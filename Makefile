@@ -10,7 +10,7 @@ CASADI := build/casadi
 CORE   := build/core
 LOWEST := build/lowest
 TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
-LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_answer.py
+LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_recommendation.py
 # Seconds of rounds of each benchmark.
 BENCH_S := 1.0
 # Of the mutants of `make soak`; all of them take some hours.
