@@ -178,6 +178,16 @@ def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None
     np.testing.assert_allclose(coarse[3:], fine[3:], rtol=0, atol=1e-10)
 
 
+def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
+    """A plant that states none takes 21 rows of weather a sample, as one with ten does."""
+    ship = load_vessel("osv")
+    default, ten = Plant(ship, turning(ship), SAMPLE_S), Plant(ship, turning(ship), SAMPLE_S, 10)
+    stages = weather(ship).stage_table(1, SAMPLE_S, 10)[0]
+    for plant in (default, ten):
+        plant.advance(0.3 * ship.tau_max, stages)
+    np.testing.assert_array_equal(default.state, ten.state)
+
+
 def test_the_start_state_is_copied() -> None:
     """A plant never writes into the array it was started with."""
     ship = load_vessel("supply_fs99")

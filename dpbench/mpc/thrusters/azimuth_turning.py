@@ -91,7 +91,7 @@ def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # c
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
     # Below it a direction is rounding, and what is squared is lost.
-    return (along / size, across / size, most) if size > 1e-9 * least_N else (1.0, across, most)
+    return (along / size, across / size, most) if size > 1e-9 * least_N else (1.0, 0.0, most)
 
 
 class TurningQP(CondensedQP):

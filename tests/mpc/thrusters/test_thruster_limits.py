@@ -94,8 +94,6 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     assert case.controller.commanded is not None
     du_max = case.problem.du_max
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * du_max
-    # Below 1e-9 of the least force a direction is rounding, off unit length by 1e-7.
-    f[np.abs(f) < 1e-4] = 0.0
     turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
     cut = turning.kept(f, np.clip(move, -du_max, du_max), du_max)
     assert (np.abs(cut) <= du_max * (1 + 1e-12)).all()

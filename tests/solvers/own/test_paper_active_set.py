@@ -262,6 +262,29 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
             assert is_true(qp, found, error / size, 1e-6)
 
 
+@pytest.mark.slow
+@settings(max_examples=15, **RULES)
+@given(st.integers(0, 2**32 - 1))
+def test_larger_sequences_satisfy_the_optimality_conditions(seed):
+    """Up to 120 variables and 300 rows every answer satisfies the KKT conditions.
+
+    The limits of the first step meet in a point but for rounding, where nothing has to be claimed.
+    """
+    rng = np.random.default_rng(seed)
+    base, steps = parametric(rng, int(rng.integers(20, 121)), int(rng.integers(0, 301)))
+    solver = open_workspace("paper_active_set", policy="warm")
+    solver.setup(base)
+    for k, step in enumerate(steps):
+        answer, qp = solve_next(solver, step), base.at(step)
+        assert answer.claimed or (k == 0 and answer.status is Status.INACCURATE)
+        found, size = residuals(qp, answer), 1.0 + np.abs(answer.z).max()
+        # A thousand times rounding of the terms each residual is a sum of.
+        assert found.primal <= 1e-12 * size
+        terms = np.abs(qp.q).max() + np.abs(qp.P).max() * size + np.abs(answer.y).max(initial=0.0)
+        assert found.dual <= 1e-12 * terms
+        assert found.complementarity <= 1e-12 * terms * size
+
+
 @settings(max_examples=60, **RULES)
 @given(st.integers(0, 2**32 - 1))
 def test_between_finite_limits_the_proof_of_infeasibility_is_exact(seed):
