@@ -13,6 +13,7 @@ from dpbench.report.machine_verdict import (
     machine_facts,
     verdict_text,
 )
+from dpbench.solvers.table import check_availability, solver_names
 
 _WIDTH = 32
 
@@ -30,6 +31,7 @@ def doctor_lines() -> list[str]:
         ("memory", f"{machine['memory_GiB']} GiB"),
         ("system", f"{machine['kernel']}, {machine['python']}"),
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
+        ("solver builds", _solver_builds() or MISSING),
         ("load average", loads or MISSING),
         *disturbance_facts(harness.disturbance),
     ]
@@ -42,3 +44,11 @@ def doctor_lines() -> list[str]:
         *(wrapped(text, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, text in facts),
         *(wrapped(text, others="  ") for text in verdicts),
     ]
+
+
+def _solver_builds() -> str:
+    """Name the instruction sets of the installed solvers that have builds for several."""
+    libraries = {name: check_availability(name) for name in solver_names()}
+    return ", ".join(
+        f"{k} {library.build.text}" for k, library in libraries.items() if library.build.text
+    )

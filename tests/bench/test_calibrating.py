@@ -143,7 +143,15 @@ def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
 def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
-    words = ("processor", "governor", "BLAS", "reading the clock", "context switches", "stolen")
+    words = (
+        "processor",
+        "governor",
+        "BLAS",
+        "solver builds",
+        "reading the clock",
+        "context switches",
+        "stolen",
+    )
     for word in (*words, "throttle", "machine: ", "quiet means: ", "harness: ", *CALIBRATION):
         assert word in said
 
