@@ -18,7 +18,7 @@ from dpbench.bench.record.cell_store import (
     PublicTables,
     Source,
     StepFile,
-    rows_of,
+    filter_rows,
     without_steps,
 )
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
@@ -191,7 +191,7 @@ def _sort_steps(
             except DAMAGE:
                 continue
             steps.add(filter_runs(table, set(group.names) - set(others)))
-            store.keep(rows_of(runs, others), table)
+            store.keep(filter_rows(runs, others), table)
             for new, made_of in here.items():
                 steps.add(rename_runs(table, {made_of: new}))
         read |= set(group.names)

@@ -14,7 +14,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, answers_of
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.frontier import INTACT, Frontier, WindLimit
+from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, WindLimit
 from dpbench.bench.capability.study import (
     FROM_DEG,
     Capability,
@@ -45,7 +45,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
         if name != "all":
             check_available(name)
     vessel = load_vessel(arguments.vessel)
-    frontier = Frontier(vessel, arguments.sides)
+    frontier = CapabilityPlot(vessel, arguments.sides)
     quiet = arguments.json
     with Bar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
@@ -65,13 +65,13 @@ def capability_text(arguments: argparse.Namespace) -> str:
 
 
 def _judge_solvers(
-    frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
+    frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
     """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
-        frontier = Frontier(frontier.vessel, SIDES)
+        frontier = CapabilityPlot(frontier.vessel, SIDES)
         with Bar(transient=True, quiet=quiet) as bar:
             capability = compute_capability(frontier, bar)
     suite = write_batch(frontier, capability, out)

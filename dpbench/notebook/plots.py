@@ -106,7 +106,7 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
 
 def _forces_of(run: JudgedRun) -> pd.DataFrame:
     """Return the forces of a closed loop as shares of their limits; no rows for a replay."""
-    from dpbench.analysis.records.kept_runs import FORCES as COLUMNS
+    from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 
     if run.scenario is None:

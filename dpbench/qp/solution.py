@@ -35,7 +35,7 @@ class Status(IntEnum):
         return _SENTENCES[self]
 
     @property
-    def usable(self) -> bool:
+    def is_usable(self) -> bool:
         """Return whether a finite iterate under this status is applied to the ship.
 
         Infeasible, error and time-limit claims come with no plan worth following; an inaccurate or

@@ -38,7 +38,7 @@ def build_tables(
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts_table(data, recommendation),
         "experiments": tile_table(data),
-        "hard_steps": hard_step_table(data, data.kept),
+        "hard_steps": hard_step_table(data, data.thinned_runs),
         "ladder": _ladder_table(data),
         "paired_ratios": ratio_table(data),
     }

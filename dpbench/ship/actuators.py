@@ -80,7 +80,7 @@ class ThrusterForces:
         self._delay = DelayLine(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
-            for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
+            for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True)
             if thruster.kind == "azimuth"
         ]
         lag = commanded.lag_s / commanded.sample_s

@@ -36,7 +36,7 @@ from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
 WeatherDraw = dict[str, Matrix]
-"""Wind speed and wave height at the stage times, see `Environment.drawn`."""
+"""Wind speed and wave height at the stage times, see `Environment.precompute_weather`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class Environment:
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
-    def draws(self) -> bool:
+    def is_random(self) -> bool:
         """True where any of it is random, so that the seed matters."""
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
@@ -137,7 +137,7 @@ class Environment:
             b += squall.at(t_s)
         return b
 
-    def drawn(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
+    def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
         """Sum up the harmonics of wind speed and wave height: (steps, 2·substeps + 1) each."""
         start, offset = _stages(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
@@ -161,7 +161,7 @@ class Environment:
         b = np.ascontiguousarray(self.force(t))
         if not self.depends_on_ship:
             return b
-        drawn = self.drawn(steps, sample_s, substeps) if drawn is None else drawn
+        drawn = self.precompute_weather(steps, sample_s, substeps) if drawn is None else drawn
         table = np.zeros((*t.shape, LOADED))
         table[..., :PLAIN] = b
         if self.wind is not None:

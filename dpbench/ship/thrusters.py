@@ -129,7 +129,7 @@ class ThrusterSet:
         return sum(thruster.components for thruster in self.thrusters)
 
     @cached_property
-    def places(self) -> tuple[slice, ...]:
+    def slices(self) -> tuple[slice, ...]:
         """Slices of f, one per thruster."""
         ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
@@ -150,14 +150,14 @@ class ThrusterSet:
 
     def size(self, f: Matrix) -> Matrix:
         """Return |f_i| (..., p) of forces f (..., n_f) [N]."""
-        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.places]
+        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.slices]
         return np.stack(sizes, axis=-1)
 
     def support(self, direction: Vector) -> float:
         """Return the support function: the largest τ·d over all f within limits, for d (3,)."""
         slopes = direction @ self.T_e
         return float(
-            sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.places, strict=True))
+            sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.slices, strict=True))
         )
 
     def limits(self) -> tuple[Vector, Vector]:
@@ -179,7 +179,7 @@ class ThrusterSet:
             members.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in members.items()}
 
-    def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
+    def find_indices(self, names: Sequence[str], where: str, key: str) -> set[int]:
         """Return the indices of thrusters, or of whole failure groups, by name."""
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:

@@ -85,17 +85,23 @@ def test_sound_solvers_have_no_false_claim(results: Results) -> None:
     for solver in ("quadprog", "daqp"):
         tally = claims.by("solver")[(solver,)]
         assert tally.wrong == 0 and tally.nothing == 0
-        assert tally.steps == tally.told + tally.right_refusals
+        assert tally.steps == tally.right_claims + tally.right_refusals
     assert claims.by("solver", "family")["daqp", "infeasible_steps"].right_refusals == 2 * 2
 
 
 def test_every_step_is_counted_once(results: Results) -> None:
     tally = RandomClaims(Records(results)).by("solver")[("faulty",)]
-    seen = tally.told + tally.lies + tally.silent + tally.right_refusals + tally.wrong_refusals
+    seen = (
+        tally.right_claims
+        + tally.false_claims
+        + tally.not_claimed
+        + tally.right_refusals
+        + tally.wrong_refusals
+    )
     assert tally.steps == seen + tally.nothing
     assert tally.steps + tally.missed == 7 * STEPS
     # n = 4 without rows, and all six steps of the sequence with infeasible ones: also n = 4.
-    assert (tally.lies, tally.wrong_refusals) == (2 * STEPS, STEPS)
+    assert (tally.false_claims, tally.wrong_refusals) == (2 * STEPS, STEPS)
 
 
 def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:

@@ -93,7 +93,7 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     before = f
     for i in range(N_c):
         now = f.copy()
-        for number, at in enumerate(thrusters.places):
+        for number, at in enumerate(thrusters.slices):
             if number in lost:
                 steps = float((np.abs(f[at]) / du_max[at]).max())
                 left = steps - 0.9 * (i + 1)

@@ -123,4 +123,4 @@ def test_a_scenario_that_is_made_once_is_made_for_all_seas(name: str) -> None:
         once, alone = cached_scenario(files), build_scenario(files)
         assert once.files == files and once.environment.seed == seed
         assert not behave_differently(once, alone, 50)
-        assert behave_differently(once, base, 50) == base.environment.draws
+        assert behave_differently(once, base, 50) == base.environment.is_random

@@ -44,7 +44,7 @@ def test_force_and_moment_are_those_of_the_lever(
     thrusters = ship(azimuth(x_m, y_m, thrust_N))
     force = thrust_N * np.array([math.cos(angle), math.sin(angle), 0.0])
     f = np.zeros(thrusters.n_f)
-    f[thrusters.places[1]] = force[:2]
+    f[thrusters.slices[1]] = force[:2]
     moment = np.cross([x_m, y_m, 0.0], force)[2]
     np.testing.assert_allclose(thrusters.T_e @ f, [force[0], force[1], moment], atol=1e-6)
 
@@ -52,7 +52,7 @@ def test_force_and_moment_are_those_of_the_lever(
 def allowed_forces(thrusters: ThrusterSet, rng: np.random.Generator, count: int) -> np.ndarray:
     """Random f within the limits, many at the edge."""
     f = np.zeros((count, thrusters.n_f))
-    for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True):
+    for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True):
         if thruster.kind == "azimuth":
             start, end = thruster.sector_rad or (0.0, 2 * math.pi)
             angle = rng.uniform(start, end, count)
@@ -95,7 +95,7 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
         (lambda: ThrusterSet((azimuth(0, 0),)), "forces in surge, sway and yaw"),
         (lambda: azimuth(0, 0, sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
         (
-            lambda: ship(azimuth(-30, 0)).numbers(["bow"], "my.toml", "faults"),
+            lambda: ship(azimuth(-30, 0)).find_indices(["bow"], "my.toml", "faults"),
             "my.toml: faults.*one of tunnel",
         ),
     ],

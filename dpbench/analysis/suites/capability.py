@@ -118,7 +118,7 @@ def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
         claims = classify_steps(steps)
-        for k in steps["k"][claims["lies"] | claims["wrong_refusals"]]:
+        for k in steps["k"][claims["false_claims"] | claims["wrong_refusals"]]:
             false_claimants.setdefault(int(k), set()).add(run.solver)
     rows = []
     for (case, from_deg), of_direction in points.groupby(["case", "from_deg"], sort=False):
@@ -140,9 +140,9 @@ def _count_answers(records: Records, run: RunRecord) -> Answers:
         run.steps_planned,
         len(steps) - infeasible,
         infeasible,
-        int(counts["told"]),
+        int(counts["right_claims"]),
         int(counts["right_refusals"]),
-        int(counts["lies"] + counts["wrong_refusals"]),
+        int(counts["false_claims"] + counts["wrong_refusals"]),
         float(times.median()),
         float(times.max()),
     )

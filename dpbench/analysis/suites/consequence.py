@@ -147,10 +147,10 @@ def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
     always = {
         "feasible": claims["steps"] & ~infeasible,
         "infeasible": infeasible,
-        "held": claims["told"],
+        "held": claims["right_claims"],
         "refused": claims["right_refusals"] & infeasible,
     }
-    lies = claims["lies"]
+    lies = claims["false_claims"]
     ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
     by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
     counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])

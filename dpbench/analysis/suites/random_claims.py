@@ -32,15 +32,15 @@ class Tally:
     Parameters
     ----------
     steps : certified steps that were reached; missed : asked for and never reached.
-    told : claimed and true; lies : claimed and not true; silent : true and not claimed.
+    right_claims, false_claims : claimed, and true or not; not_claimed : true and not claimed.
     right_refusals, wrong_refusals : called infeasible or unbounded, rightly and wrongly.
     nothing : neither a claim nor a true answer.
     """
 
     steps: int
-    told: int
-    lies: int
-    silent: int
+    right_claims: int
+    false_claims: int
+    not_claimed: int
     right_refusals: int
     wrong_refusals: int
     nothing: int
@@ -49,7 +49,7 @@ class Tally:
     @property
     def wrong(self) -> int:
         """Untrue claims of either kind."""
-        return self.lies + self.wrong_refusals
+        return self.false_claims + self.wrong_refusals
 
 
 class RandomClaims:
@@ -109,9 +109,9 @@ def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "steps": known,
-            "told": known & claimed & true,
-            "lies": claimed_not_true(steps),
-            "silent": true_not_claimed(steps),
+            "right_claims": known & claimed & true,
+            "false_claims": claimed_not_true(steps),
+            "not_claimed": true_not_claimed(steps),
             "right_refusals": known & none_said & true,
             "wrong_refusals": known & none_said & ~true,
             "nothing": known & ~claimed & ~none_said & ~true,

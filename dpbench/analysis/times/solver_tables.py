@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.kept_runs import ThinnedRun
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
 from dpbench.analysis.times.machine import library_call_ns
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first, solver_family

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
@@ -36,7 +36,7 @@ class Point:
     held: bool
 
 
-def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
+def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
     """Return the points of all cases and directions, those of one direction in a row."""
     return [
         point
@@ -62,7 +62,7 @@ def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
     return [Point(case, from_rad, *wind) for wind in sorted(winds)]
 
 
-def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequence:
+def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
     """Return the QPs of the points, in their order; `frontier` has polygons.
 
     P is constant; rows change with the pieces that are chosen.
@@ -81,7 +81,7 @@ def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequen
     return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
 
 
-def _build_allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
+def _build_allocation(frontier: CapabilityPlot, cases: set[Case], sides: int) -> StaticAllocation:
     """Return the allocation with room for the pieces of every case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)

@@ -57,7 +57,7 @@ class Weather:
     shares: Vector
 
 
-class Frontier:
+class CapabilityPlot:
     """Reach of the thrusters of a ship.
 
     Parameters
@@ -144,7 +144,7 @@ class Frontier:
         ]
         return min(uses, key=lambda use: use[0])
 
-    def held(self, case: Case, from_rad: float) -> WindLimit:
+    def find_wind_limit(self, case: Case, from_rad: float) -> WindLimit:
         """Return the largest wind that is balanced, with all winds of the table below it."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, Frontier, WindLimit
+from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, CapabilityPlot, WindLimit
 from dpbench.bench.progress import Progress, Silent
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
@@ -61,7 +61,7 @@ def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
     return min(near), min(at.number for at in held)
 
 
-def compute_capability(frontier: Frontier, progress: Progress | None = None) -> Capability:
+def compute_capability(frontier: CapabilityPlot, progress: Progress | None = None) -> Capability:
     """Return the capability within a frontier; ArithmeticError if the cone solver fails."""
     progress, cases = progress or Silent(), frontier.cases
     progress.start(len(cases) * DIRECTIONS)
@@ -69,7 +69,7 @@ def compute_capability(frontier: Frontier, progress: Progress | None = None) -> 
     for case in cases:
         edges = []
         for from_deg in FROM_DEG:
-            edges.append(frontier.held(case, math.radians(from_deg)))
+            edges.append(frontier.find_wind_limit(case, math.radians(from_deg)))
             progress.advance(1, f"{frontier.vessel.id}, {case.name}")
         held[case.name] = tuple(edges)
     names = [thruster.name for thruster in frontier.thrusters.thrusters]

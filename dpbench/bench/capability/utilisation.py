@@ -94,7 +94,7 @@ class _Cones:
     ) -> None:
         self.chosen = chosen
         alive = [i for i in range(len(chosen)) if i not in lost]
-        places = [np.arange(thrusters.n_f)[thrusters.places[i]] for i in alive]
+        places = [np.arange(thrusters.n_f)[thrusters.slices[i]] for i in alive]
         self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
         width = len(self.entries) + 1
         blocks, kinds, first = [], [_clarabel().ZeroConeT(AXES)], 0

@@ -218,7 +218,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     thrust = log.thrust[:done]
     columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
     columns |= _backup_columns(cell, scenario, log)
-    applied = scenario.controller.applied(columns["tau"], thrust)
+    applied = scenario.controller.select_applied(columns["tau"], thrust)
     metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
         metrics |= METRICS[group](AppliedForces(scenario, scaled, columns, thrust))

@@ -31,7 +31,7 @@ def control_metrics(
     """
     K, controller = len(u), scenario.controller
     tau = controller.force(u)
-    exact_u = controller.applied(exact.tau, exact.thrust)[:K]
+    exact_u = controller.select_applied(exact.tau, exact.thrust)[:K]
     dt = scenario.sample_s
     error = state[:K, POSE] - reference[:K]
     north, east, turn = error.T

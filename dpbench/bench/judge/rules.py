@@ -39,7 +39,7 @@ the last nothing is proven.
 NO_ANSWER_CLAIMS = tuple(status.name for status in Status if status.denies_optimum)
 """Status names of the claims that there is no optimum."""
 _UNFINISHED = tuple(status.name for status in Status if status.is_unfinished)
-_NO_USE = tuple(status.name for status in Status if not status.usable)
+_NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
 def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:

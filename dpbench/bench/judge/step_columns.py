@@ -27,7 +27,7 @@ from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
-from dpbench.bench.run.slow_computer import delay_of
+from dpbench.bench.run.slow_computer import find_delay
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import cached_scenario
 
@@ -57,7 +57,7 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
             "fallback": rules.unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
-    delay = delay_of(cell, cached_scenario(cell.scenario).sample_s)
+    delay = find_delay(cell, cached_scenario(cell.scenario).sample_s)
     steps |= _backup_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:

@@ -64,7 +64,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
 def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
     """Return how far azimuths turned while pushing [°], and how often others reversed."""
     turned, reversals = 0.0, 0
-    parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
+    parts = zip(control.thrusters.thrusters, control.thrusters.slices, strict=True)
     for thruster, at in parts:
         now, then = f[:, at], before[:, at]
         least = PUSHING * thruster.thrust_N

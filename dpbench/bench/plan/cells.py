@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.capability.batch import POINTS
-from dpbench.bench.capability.frontier import DIRECTIONS, Frontier
+from dpbench.bench.capability.frontier import DIRECTIONS, CapabilityPlot
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
@@ -183,7 +183,7 @@ def capability_cells(
     InputError : for a vessel without thrusters or the hull that the plot needs.
     """
     files = read_vessel_documents(table.vessel, beside=beside)
-    cases = Frontier(build_vessel(files, table.vessel), table.sides).cases
+    cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
     name = f"{files['vessel_name']} capability, {table.sides} sides"
     source = CapabilitySource(name, table.sides, **files)

@@ -141,7 +141,7 @@ class _ScenarioCache:
         """Raise InputError for a key without effect in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
-        if key == SEED and not self._base.environment.draws:
+        if key == SEED and not self._base.environment.is_random:
             found = f"a seed where the weather of {self._base.name} draws nothing at random"
         allowed = "a key that the run depends on; gusts, waves and noise depend on the seed"
         raise InputError(self._where, key, found, allowed)

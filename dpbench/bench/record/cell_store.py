@@ -409,7 +409,7 @@ class CellStore:
                 table = group.table()
             except DAMAGE:
                 continue
-            self.keep(rows_of(rows, group.names), table)
+            self.keep(filter_rows(rows, group.names), table)
             read |= set(group.names)
         self.keep(without_steps(rows, read), FILE_SCHEMA.empty_table())
 
@@ -451,9 +451,9 @@ class CellStore:
 def without_steps(runs: pa.Table, read: Collection[str]) -> pa.Table:
     """Return the rows of runs that left no steps, but for those whose steps were `read`."""
     none = runs.filter(pc.equal(runs["steps_done"], 0))
-    return rows_of(none, set(none["run_id"].to_pylist()) - set(read))
+    return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
 
 
-def rows_of(runs: pa.Table, names: Collection[str]) -> pa.Table:
+def filter_rows(runs: pa.Table, names: Collection[str]) -> pa.Table:
     """Return the rows of those runs."""
     return runs.filter(pc.is_in(runs["run_id"], pa.array(sorted(names), pa.string())))

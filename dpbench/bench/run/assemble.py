@@ -12,7 +12,7 @@ from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.formulation import Box, QPBuilder, loop_formulation, replay_formulation
-from dpbench.bench.run.slow_computer import delay_of, usage_of_process
+from dpbench.bench.run.slow_computer import find_delay, usage_of_process
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
@@ -48,7 +48,7 @@ def closed_loop_setup(
         backup or second workspace of a cascade that cannot be opened.
     """
     scenario = with_cell_formulation(cell, scenario)
-    delay = delay_of(cell, scenario.sample_s)
+    delay = find_delay(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
     if delay.simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")

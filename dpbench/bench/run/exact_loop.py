@@ -60,7 +60,9 @@ class ExactWorkspace(Workspace):
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
         self._referee = (
-            self._referee.after(*matrices) if self._referee else get_shared_referee(*matrices)
+            self._referee.for_matrices(*matrices)
+            if self._referee
+            else get_shared_referee(*matrices)
         )
         self._step = QPStep(qp.q, qp.l, qp.u)
 
@@ -100,7 +102,7 @@ class ExactLoop:
     theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
     optima : certified, of each step in scaled units.
     demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
-    drawn : what all runs in the same weather share, see `Environment.drawn`.
+    drawn : what all runs in the same weather share, see `Environment.precompute_weather`.
     """
 
     theta: Matrix
@@ -182,7 +184,7 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, Box(base), clock)
-    drawn = scenario.environment.drawn(scenario.steps, scenario.sample_s, SUBSTEPS)
+    drawn = scenario.environment.precompute_weather(scenario.steps, scenario.sample_s, SUBSTEPS)
     setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:

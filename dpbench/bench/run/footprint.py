@@ -107,14 +107,14 @@ class MemoryWatch:
         forget_peak()
         self._left = _read_status("VmRSS") - self._imported
 
-    def opened(self) -> None:
-        """Mark that the library is loaded; what follows until `loaded` is the harness's."""
+    def record_setup(self) -> None:
+        """Mark that the library is loaded; what follows until `record_load` is the harness's."""
         if isnan(self._imported):
             self._peak_of_import = _read_status("VmHWM") - self._at_birth
             self._imported = _read_status("VmRSS")
         self._harness = -_read_status("VmRSS")
 
-    def loaded(self, log: RawLog) -> None:
+    def record_load(self, log: RawLog) -> None:
         """Mark that QPs and log are in memory; touch the pages of the log."""
         log.touch()
         self._harness += _read_status("VmRSS")
@@ -178,7 +178,7 @@ def measure_steps(
     made = [solver.formulate(sequence.step(k)) for k in range(steps)]
 
     def answer(k: int) -> None:
-        if not solver.answer(made[k]).status.usable:
+        if not solver.answer(made[k]).status.is_usable:
             solver.reset()
 
     growth = []
@@ -197,7 +197,7 @@ def measure_steps(
         solution = solver.answer(made[k])
         blocks[k] += sys.getallocatedblocks()
         peaks[k] += tracemalloc.get_traced_memory()[1]
-        if not solution.status.usable:
+        if not solution.status.is_usable:
             solver.reset()
         # Or the next step would free this answer while its own are counted.
         del solution

@@ -74,7 +74,7 @@ def never_preempted() -> tuple[int, int]:
     return 0, 0
 
 
-def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
+def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
     """Return the delay of a closed-loop cell; InputError for one that cannot be."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):

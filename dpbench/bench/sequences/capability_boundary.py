@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.capability.batch import all_points, allocation_sequence
-from dpbench.bench.capability.frontier import Frontier
+from dpbench.bench.capability.frontier import CapabilityPlot
 from dpbench.bench.capability.study import Capability, compute_capability
 from dpbench.bench.capability.table import capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
@@ -16,7 +16,7 @@ from dpbench.ship.vessel import Vessel
 
 def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
     """Write the capability of a ship and the QPs at its edge, certified, to one file."""
-    frontier = Frontier(vessel, sides)
+    frontier = CapabilityPlot(vessel, sides)
     capability = compute_capability(frontier)
     points = all_points(frontier, capability)
     documents = {"capability": capability_columns(name, capability, points)}
@@ -32,7 +32,7 @@ def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
     return table
 
 
-def write_batch(frontier: Frontier, capability: Capability, folder: Path) -> Path:
+def write_batch(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
     """Write the QPs at the edge of a capability, certified, and a suite that replays them.
 
     Parameters

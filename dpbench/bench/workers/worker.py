@@ -305,7 +305,7 @@ def _serve_replay(
     workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
-    memory.opened()
+    memory.record_setup()
     sequence = source_file(cell).load(order.source).sequence
     configuration, timed_solver, log = _replay_run(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
@@ -347,7 +347,7 @@ def _replay_run(
         sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
     if memory is not None:
-        memory.loaded(log)
+        memory.record_load(log)
     set_phase(Phase.SOLVER)
     configuration = ReplayRun(
         steps,

@@ -43,7 +43,7 @@ class AzimuthTurning:
     @classmethod
     def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
         """Select the thrusters of a ship that have a turning rate."""
-        pairs = zip(thrusters.thrusters, thrusters.places, strict=True)
+        pairs = zip(thrusters.thrusters, thrusters.slices, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
         rates = [t.turning_radps or 0.0 for t, _ in turning]
         return cls(
@@ -58,7 +58,7 @@ class AzimuthTurning:
         c, s, most = np.array([_direction(*part) for part in parts]).reshape(-1, 3).T
         return c, s, most
 
-    def kept(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
+    def limit_move(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
         """Return the move (n_f,) cut to the limits of rate and turning from f on."""
         c, s, most = self.directions(f)
         x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
@@ -82,7 +82,7 @@ class TurningLimit(ThrusterLimit):
         self._turning = turning
 
     def _at_rate(self, u: Vector, du: Vector) -> Vector:
-        return self._turning.kept(u, super()._at_rate(u, du), self._du_max)
+        return self._turning.limit_move(u, super()._at_rate(u, du), self._du_max)
 
 
 @njit(cache=True, error_model="numpy")

@@ -88,7 +88,7 @@ class StaticAllocation:
         normals[cut], high[cut] = piece.chords[:, :2], share * piece.chords[:, 2]
         A = np.zeros((count, self._thrusters.n_f))
         if count:
-            A[:, self._thrusters.places[i]] = normals
+            A[:, self._thrusters.slices[i]] = normals
         return A, low, high
 
 

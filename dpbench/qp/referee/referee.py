@@ -116,7 +116,7 @@ class Referee:
         self._definite = self._finite and positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
-    def after(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+    def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
         """Return a referee of a later step's matrices, begun at the active set of this one."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
@@ -386,7 +386,7 @@ def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
         step = sequence.step(k)
         if qp.changed_by(step):
             qp = qp.at(step)
-            referee = referee.after(qp.P, qp.A, qp.lb, qp.ub)
+            referee = referee.for_matrices(qp.P, qp.A, qp.lb, qp.ub)
         yield referee.certify(step.q, step.l, step.u)
 
 

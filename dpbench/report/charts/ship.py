@@ -9,7 +9,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.kept_runs import MOST, extreme_indices
+from dpbench.analysis.records.thinned_runs import MOST, extreme_indices
 from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
 from dpbench.arrays import Vector
 from dpbench.report.charts import style

@@ -10,10 +10,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from dpbench.analysis.records.kept_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
+from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
 from dpbench.analysis.statistics import upper_bound_of_none
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
@@ -131,7 +131,7 @@ class PageData(RunMatrix):
         return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
 
     @cached_property
-    def kept(self) -> dict[str, ThinnedRun]:
+    def thinned_runs(self) -> dict[str, ThinnedRun]:
         """Kept steps of every run with a counting step, by id, in the order of the steps file."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
@@ -147,7 +147,7 @@ class PageData(RunMatrix):
     @property
     def thinned(self) -> int:
         """Of how many runs the page keeps a part of the steps."""
-        return sum(not run.is_whole for run in self.kept.values())
+        return sum(not run.is_whole for run in self.thinned_runs.values())
 
     def cells(self) -> Iterator[dict[str, Any]]:
         """Every run with its packed steps and hardest steps."""
@@ -156,7 +156,7 @@ class PageData(RunMatrix):
         order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
         for c, p in order:
             run = self.runs[c, p]
-            entry, kept = self._describe_run(c, p, run), self.kept.get(run.run_id)
+            entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
                 entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
                 if kept.track is not None:

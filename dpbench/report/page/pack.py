@@ -33,7 +33,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpbench.analysis.records.kept_runs import FORCES, ThinnedRun, Track, common_length
+from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length
 from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]

@@ -152,7 +152,7 @@ def _describe_replay(data: PageData, run: RunRecord) -> str:
     """State the window of a replay, and the share of steps with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
-    kept = data.kept.get(run.run_id)
+    kept = data.thinned_runs.get(run.run_id)
     if kept is None:
         return f"Here {window}its exactly solved loop, replayed."
     share = share_text(float(np.mean(kept.steps.n_active > 0)))

@@ -54,9 +54,9 @@ def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
     return {
         "solver": solver,
         "steps": str(tally.steps),
-        "claimed and true": str(tally.told + tally.right_refusals),
+        "claimed and true": str(tally.right_claims + tally.right_refusals),
         "false claims": str(tally.wrong),
-        "true, not claimed": str(tally.silent),
+        "true, not claimed": str(tally.not_claimed),
         "no answer": str(tally.nothing),
         "never reached": str(tally.missed),
     }

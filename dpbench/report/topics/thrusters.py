@@ -21,8 +21,8 @@ from dpbench.analysis.suites.consequence import (
 )
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.steering import (
-    Steering,
+from dpbench.analysis.verdict.thruster_verdicts import (
+    ThrusterVerdicts,
     compare_commanded,
     is_about_thrusters,
     largest_ratio,
@@ -121,10 +121,10 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
-    steering = compare_commanded(records, requirements)
-    if not steering.with_thrusters:
+    commanded = compare_commanded(records, requirements)
+    if not commanded.with_thrusters:
         return None
-    first = [_name_solver(chosen, requirements), _compare_with_forces(steering)]
+    first = [_name_solver(chosen, requirements), _compare_with_forces(commanded)]
     second = [
         *_state_offset_after_loss(records, chosen, requirements),
         *_state_consequence(records, chosen),
@@ -146,33 +146,33 @@ def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
     return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
 
 
-def _compare_with_forces(steering: Steering) -> str:
+def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
-    before = steering.passing_with_forces
+    before = commanded.passing_with_forces
     if not before:
-        fine, run = len(steering.fine), len(steering.with_thrusters)
+        fine, run = len(commanded.fine), len(commanded.with_thrusters)
         wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
-        missing, unknown = steering.missing, steering.undecided
-        wording += [f"not so: {_group_by_fault(steering, missing)}"] if missing else []
+        missing, unknown = commanded.missing, commanded.undecided
+        wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
-    lost, where = steering.passing_with_forces_only, and_list(list(steering.forces))
+    lost, where = commanded.passing_with_forces_only, and_list(list(commanded.forces))
     head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
     head += f"three forces ({where})"
     if not lost:
         return f"{head}, none fails with thrusters."
     fail = "fails" if len(lost) == 1 else "fail"
-    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(steering, lost)}."
+    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
 
 
 def _pass_verb(count: int) -> str:
     return "passes" if count == 1 else "pass"
 
 
-def _group_by_fault(steering: Steering, solvers: Sequence[str]) -> str:
+def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
     """List solvers with their fault, those of the same fault together."""
-    of_fault = group_by(solvers, lambda solver: steering.faults[solver])
+    of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 

@@ -48,7 +48,7 @@ class TurningThrusterControl(ThrusterControl):
         too_fast = super().exceeds_rate(f, before, df_max)
         for k in np.flatnonzero(~too_fast).tolist():
             change = f[k] - before[k]
-            away = np.abs(self.turning.kept(before[k], change, df_max) - change)
+            away = np.abs(self.turning.limit_move(before[k], change, df_max) - change)
             too_fast[k] = bool((away > 1e-6 * df_max).any())
         return too_fast
 

@@ -124,7 +124,7 @@ class Controller(ABC):
         """Return the force on the ship τ (..., 3) of u (..., n_u)."""
 
     @abstractmethod
-    def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the applied u (K, n_u), either τ (K, 3) or f (K, n_f) of a run."""
 
     def as_baseline_law(self) -> Controller:

@@ -31,7 +31,7 @@ class ForceController(Controller):
         """Return u itself."""
         return u
 
-    def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the force."""
         return tau
 

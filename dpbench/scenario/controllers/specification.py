@@ -168,7 +168,7 @@ class ControllerSpec:
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
                 key = f"faults.{i}.lost"
-                lost = lost | self.vessel.thrusters.numbers(fault.lost, self.where, key)
+                lost = lost | self.vessel.thrusters.find_indices(fault.lost, self.where, key)
                 losses.append((k, lost))
         return losses
 

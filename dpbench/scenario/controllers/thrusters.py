@@ -72,7 +72,7 @@ class ThrusterController(Controller):
         force: Matrix = u @ self.control.thrusters.T_e.T
         return force
 
-    def applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the forces of the thrusters."""
         return thrust
 

@@ -204,7 +204,7 @@ class NativeWorkspace(Workspace):
             return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
         status, iterations, reported_ns, detail = self._read_claim()
         detail = "" if status is SOLVED else detail
-        point = self._read_point() if status.usable else None
+        point = self._read_point() if status.is_usable else None
         if point is None:
             solution = self._missing(status, iterations, reported_ns, detail)
         else:
@@ -213,7 +213,7 @@ class NativeWorkspace(Workspace):
             self._unread = False
             # The square of z is finite if z has neither a NaN nor an infinity.
             z = solution.z
-            self._unusable = not (solution.status.usable and isfinite(z.dot(z)))
+            self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
                 self._remember(solution)
         return solution

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG
 from dpbench.scenario.scenario import load_vessel
 
@@ -14,10 +14,10 @@ INTACT = Case("intact", frozenset())
 
 
 @pytest.fixture(scope="session")
-def circles() -> Frontier:
-    return Frontier(load_vessel("ratownik"))
+def circles() -> CapabilityPlot:
+    return CapabilityPlot(load_vessel("ratownik"))
 
 
 @pytest.fixture(scope="session")
-def held_intact(circles: Frontier) -> list[WindLimit]:
-    return [circles.held(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]
+def held_intact(circles: CapabilityPlot) -> list[WindLimit]:
+    return [circles.find_wind_limit(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]

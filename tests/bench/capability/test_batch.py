@@ -12,7 +12,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability import batch, table
-from dpbench.bench.capability.frontier import Case, Frontier, WindLimit
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
@@ -30,17 +30,17 @@ SOME = (0.0, 20.0, 100.0, 200.0)
 
 
 @pytest.fixture(scope="module")
-def frontier() -> Frontier:
-    return Frontier(load_vessel("ratownik"), 24)
+def frontier() -> CapabilityPlot:
+    return CapabilityPlot(load_vessel("ratownik"), 24)
 
 
 @pytest.fixture(scope="module")
-def points(frontier: Frontier) -> list[batch.Point]:
+def points(frontier: CapabilityPlot) -> list[batch.Point]:
     return [
         point
         for case in frontier.cases
         for from_rad in map(math.radians, SOME)
-        for point in batch.points_at_edge(case, from_rad, frontier.held(case, from_rad))
+        for point in batch.points_at_edge(case, from_rad, frontier.find_wind_limit(case, from_rad))
     ]
 
 
@@ -68,7 +68,7 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
 
 @pytest.mark.slow
 def test_the_referee_proves_what_the_cone_program_found(
-    frontier: Frontier, points: list[batch.Point]
+    frontier: CapabilityPlot, points: list[batch.Point]
 ) -> None:
     sequence = batch.allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
@@ -77,7 +77,7 @@ def test_the_referee_proves_what_the_cone_program_found(
         assert not point.held or optimum.bound < 1e-10
 
 
-def made_up(frontier: Frontier) -> Capability:
+def made_up(frontier: CapabilityPlot) -> Capability:
     known = {
         case.name: tuple(WindLimit(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
         for case in frontier.cases
@@ -86,7 +86,7 @@ def made_up(frontier: Frontier) -> Capability:
 
 
 @pytest.mark.slow
-def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> None:
+def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
     points = batch.all_points(frontier, capability)
     assert table.load_capability(tmp_path) is None
@@ -104,7 +104,9 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_batch_is_a_suite_that_runs_as_it_stands(frontier: Frontier, tmp_path: Path) -> None:
+def test_a_batch_is_a_suite_that_runs_as_it_stands(
+    frontier: CapabilityPlot, tmp_path: Path
+) -> None:
     capability = made_up(frontier)
     path, suite = load_suite(write_batch(frontier, capability, tmp_path / "new"))
     assert path.parent == tmp_path / "new"

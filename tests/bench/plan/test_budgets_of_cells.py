@@ -14,7 +14,7 @@ from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource, Outcome
-from dpbench.bench.run.slow_computer import delay_of
+from dpbench.bench.run.slow_computer import find_delay
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS, ReplayWorker
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
@@ -115,7 +115,7 @@ def test_without_a_deadline_a_step_may_take_its_whole_sample(
     deadline_s: float, budget_ns: int
 ) -> None:
     cell = loop(slowdown=2.0, deadline_s=deadline_s)
-    delay = delay_of(cell, 0.3)
+    delay = find_delay(cell, 0.3)
     assert (delay.budget_ns, delay.sample_ns, delay.slowdown) == (budget_ns, 300_000_000, 2.0)
     assert recorded_deadline_s(cell) == pytest.approx(budget_ns / 1e9)
 
@@ -135,7 +135,7 @@ def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
 @pytest.mark.parametrize("deadline_s", [-0.001, 0.3001])
 def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     with pytest.raises(InputError, match=r"deadline_s: found .*; allowed: .* sample of 0\.3 s"):
-        delay_of(loop(deadline_s=deadline_s), 0.3)
+        find_delay(loop(deadline_s=deadline_s), 0.3)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +143,6 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     [(100, 0), (101, 1), (300, 1), (301, 2), (600, 2), (601, 3), (0, 0)],
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
-    delay = delay_of(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
+    delay = find_delay(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
     assert delay.samples_late(latency_ns) == samples
     assert delay.latency_ns(50) == 150

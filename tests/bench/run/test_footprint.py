@@ -83,10 +83,10 @@ def test_nothing_is_measured_without_a_step() -> None:
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
     """64 MB that the solver takes and gives back count; 32 MB of QPs and the log do not."""
     watch = footprint.MemoryWatch()
-    watch.opened()
+    watch.record_setup()
     log = RawLog.in_memory(replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
     held = np.ones(8 * MEGABYTE // 2, dtype=np.float64)
-    watch.loaded(log)
+    watch.record_load(log)
     before = watch.peak_bytes()
     spent = np.ones(8 * MEGABYTE, dtype=np.float64)
     size = spent.nbytes
@@ -103,13 +103,13 @@ def test_threads_are_counted() -> None:
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
     log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
     memory = footprint.MemoryWatch()
-    memory.opened()
-    memory.loaded(log)
+    memory.record_setup()
+    memory.record_load(log)
     left = np.ones(64 * MEGABYTE, dtype=np.uint8)
     assert memory.peak_bytes() > 60 * MEGABYTE
     memory.begin_again()
-    memory.opened()
-    memory.loaded(log)
+    memory.record_setup()
+    memory.record_load(log)
     assert memory.peak_bytes() < 32 * MEGABYTE
     taken = np.ones(128 * MEGABYTE, dtype=np.uint8)
     assert 96 * MEGABYTE < memory.peak_bytes() < 160 * MEGABYTE

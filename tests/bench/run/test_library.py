@@ -33,7 +33,7 @@ def exact(name: str) -> ExactLoop:
 
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     builder = QPBuilder(scenario)
-    u = scenario.controller.applied(loop.tau, loop.thrust)
+    u = scenario.controller.select_applied(loop.tau, loop.thrust)
     of_ship = control_metrics(scenario, loop.state, u, builder.reference, loop)
     if scenario.controller.commanded is None:
         return of_ship | axis_limit_metrics(scenario, loop.tau, builder.limits)

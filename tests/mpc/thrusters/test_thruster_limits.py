@@ -38,7 +38,7 @@ def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, n
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
     along, across = [], []
-    for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True):
+    for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True):
         if thruster.kind != "azimuth":
             continue
         size = float(np.hypot(*f[at]))
@@ -95,10 +95,10 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     du_max = case.problem.du_max
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * du_max
     turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
-    cut = turning.kept(f, np.clip(move, -du_max, du_max), du_max)
+    cut = turning.limit_move(f, np.clip(move, -du_max, du_max), du_max)
     assert (np.abs(cut) <= du_max * (1 + 1e-12)).all()
     assert (np.array(arcs(case, f, cut)) <= 1 + 1e-9).all()
-    np.testing.assert_allclose(turning.kept(f, cut, du_max), cut, atol=1e-9 * du_max.max())
+    np.testing.assert_allclose(turning.limit_move(f, cut, du_max), cut, atol=1e-9 * du_max.max())
 
 
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:

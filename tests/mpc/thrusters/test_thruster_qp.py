@@ -184,7 +184,7 @@ def least_cost_within_circles(
     rows, right, cones = [np.eye(n), -np.eye(n)], [np.ones(n), np.ones(n)], []
     cones.append(clarabel.NonnegativeConeT(2 * n))
     for i in range(N_c):
-        for thruster, at in zip(THRUSTERS.thrusters, THRUSTERS.places, strict=True):
+        for thruster, at in zip(THRUSTERS.thrusters, THRUSTERS.slices, strict=True):
             of = sums[i * n_f + at.start : i * n_f + at.stop]
             rows.append(np.vstack([np.zeros((1, n)), -of]) / thruster.thrust_N)
             right.append(np.concatenate([[1.0], f[at] / thruster.thrust_N]))

@@ -131,7 +131,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
     cells = document["cells"]
     assert len(cells["id"]) == len(facts.runs)
     for i in (0, len(cells["id"]) // 2):
-        steps = facts.kept[cells["id"][i]].steps
+        steps = facts.thinned_runs[cells["id"][i]].steps
         assert arrays[cells["t"][i]] == pytest.approx(list(steps.time_ns), rel=0.006)
     verdicts = {v.configuration: v for v in facts.verdicts.all}
     for c, p99 in zip(facts.configurations, document["configurations"]["p99"], strict=True):

@@ -15,7 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.analysis.records.kept_runs import (
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_steps import MEASURES, RunSteps, find_hardest_steps
+from dpbench.analysis.records.thinned_runs import (
     FORCES,
     TRACK,
     ThinnedRun,
@@ -23,8 +25,6 @@ from dpbench.analysis.records.kept_runs import (
     thin_track,
     thinned_indices,
 )
-from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_steps import MEASURES, RunSteps, find_hardest_steps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
@@ -277,7 +277,9 @@ def test_of_many_runs_fewer_hard_steps_are_listed(records: Any, monkeypatch: Any
         monkeypatch.setattr(page_data, "MOST_HARD", most)
         view, requirements = records.view(), Requirements.of({})
         facts = PageData.of(view, verdicts_of(view, requirements))
-        assert all(len(rows) == 5 for run in facts.kept.values() for rows in run.hard.values())
+        assert all(
+            len(rows) == 5 for run in facts.thinned_runs.values() for rows in run.hard.values()
+        )
         return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
 
     assert listed(45) == {5} and listed(20) == {2} and listed(1) == {1}

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.steering import (
-    Steering,
+from dpbench.analysis.verdict.thruster_verdicts import (
+    ThrusterVerdicts,
     compare_commanded,
     is_about_thrusters,
     largest_ratio,
@@ -41,7 +41,7 @@ def _with_forces(records: Any, solver: str, **columns: Any) -> None:
 
 
 def test_who_passes_with_thrusters_and_with_forces() -> None:
-    steering = Steering(
+    verdicts = ThrusterVerdicts(
         ("paper",),
         {"a": "pass", "b": "pass", "c": "fail", "d": "pass", "e": "inconclusive", "z": "pass"},
         {
@@ -54,11 +54,11 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
         },
         {},
     )
-    assert steering.fine == ["a", "c"]
-    assert steering.undecided == ["d", "e"]
-    assert steering.missing == ["b", "f"]
-    assert steering.passing_with_forces == ["a", "b", "d"]
-    assert steering.passing_with_forces_only == ["b"]
+    assert verdicts.fine == ["a", "c"]
+    assert verdicts.undecided == ["d", "e"]
+    assert verdicts.missing == ["b", "f"]
+    assert verdicts.passing_with_forces == ["a", "b", "d"]
+    assert verdicts.passing_with_forces_only == ["b"]
 
 
 @pytest.mark.parametrize(

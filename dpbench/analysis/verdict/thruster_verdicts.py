@@ -17,7 +17,7 @@ Fault = Literal["too late", "wrong", "too late or wrong"]
 
 
 @dataclass(frozen=True)
-class Steering:
+class ThrusterVerdicts:
     """Verdicts with thrusters, and with three forces where the suite has both.
 
     Parameters
@@ -67,12 +67,12 @@ def is_about_thrusters(records: Records) -> bool:
     return 2 * sum(loops.values()) > len(loops)
 
 
-def compare_commanded(records: Records, requirements: Requirements) -> Steering:
+def compare_commanded(records: Records, requirements: Requirements) -> ThrusterVerdicts:
     """Return the verdicts by what is commanded."""
     of_thrusters = [run for run in records.runs if run.steers_thrusters]
     of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
     verdicts = verdicts_of(records, requirements, of_thrusters)
-    return Steering(
+    return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
         _best_states(verdicts_of(records, requirements, of_forces)),
         _best_states(verdicts),
