@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import sys
 import warnings
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
@@ -218,6 +220,21 @@ def _available_in_qpsolvers(name: str) -> Availability:
         return Availability(True, f"qpsolvers {_version('qpsolvers')}")
 
 
+class HiddenModules(MetaPathFinder):
+    """Modules that cannot be imported.
+
+    None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
+    """
+
+    def __init__(self, names: Collection[str]) -> None:
+        self._names = frozenset(names)
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
+        """Raise ModuleNotFoundError for a hidden module; leave others to the next finder."""
+        if fullname in self._names:
+            raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
+
+
 def isolate(*solvers: str) -> None:
     """Hide every solver library but those of `solvers` from this process, for good.
 
@@ -236,6 +253,7 @@ def isolate(*solvers: str) -> None:
     modules = {entry.module for entry in TABLE.values() if entry.module}
     # The modules that a solver outside the table needs are unknown.
     others = () if any(row.extra == "qpsolvers" for row in rows) else OTHER_LIBRARIES
-    for module in (*modules, *others):
-        if module not in used:
-            sys.modules[module] = None  # type: ignore[assignment]  # None is how Python hides one
+    hidden = {*modules, *others} - used
+    for module in hidden:
+        sys.modules.pop(module, None)
+    sys.meta_path.insert(0, HiddenModules(hidden))
