@@ -43,6 +43,7 @@ from dpbench.bench.sequences.capability_boundary import read_capability_plot
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
+from dpbench.bench.workers.scratch import clear_places
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
 from dpbench.locks import WaitLimit
@@ -102,6 +103,7 @@ class Campaign:
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         progress.start(work)
         if not work and self._is_written():
+            clear_places(self.store.folder)
             return
         engine.prepare(self.sources, pending, progress)
         dispatcher = Dispatcher(engine, self.sources, progress)

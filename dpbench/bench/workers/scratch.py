@@ -41,6 +41,18 @@ def count_free_bytes(place: Path) -> int:
     return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
 
 
+def clear_places(beside: Path) -> list[Path]:
+    """Remove what killed campaigns left in the places for folders; return these, the best first."""
+    # One place on each file system.
+    by_device: dict[int, Path] = {}
+    for place in (MEMORY, Path(tempfile.gettempdir()), beside):
+        if os.access(place, os.W_OK):
+            by_device.setdefault(place.stat().st_dev, place)
+    for place in by_device.values():
+        clear_abandoned(place)
+    return list(by_device.values())
+
+
 class Scratch(ExitStack):
     """Scratch folders of one campaign, made when needed, removed at the end.
 
@@ -49,14 +61,7 @@ class Scratch(ExitStack):
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        # One place on each file system.
-        by_device: dict[int, Path] = {}
-        for place in (MEMORY, Path(tempfile.gettempdir()), beside):
-            if os.access(place, os.W_OK):
-                by_device.setdefault(place.stat().st_dev, place)
-        self._places = list(by_device.values())
-        for place in self._places:
-            clear_abandoned(place)
+        self._places = clear_places(beside)
         self._made: dict[Path, Path] = {}
         self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
 

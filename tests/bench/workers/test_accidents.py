@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -429,6 +430,17 @@ def test_parts_damaged_while_the_campaign_runs_are_lost(
     assert 1 <= lost <= 2 and outcomes(out) == ["finished"] * (3 - lost) + ["lost"] * lost
     assert run(copied / "tiny.toml", out) == 0
     assert outcomes(out) == ["finished"] * 3
+
+
+def test_a_finished_campaign_removes_folders_of_killed_ones(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed behind its last cell, a run leaves a folder to the next, which has nothing to run."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = tmp_path / "dpbench-scratch-killed"
+    (left / "sockets").mkdir(parents=True)
+    assert run(copied / "tiny.toml", copied / "out") == 0
+    assert not left.exists()
 
 
 def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
