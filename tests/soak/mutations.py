@@ -9,6 +9,7 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -80,11 +81,12 @@ def of_json(data: bytes, rng: random.Random) -> bytes:
         if kind == 0:
             del place[key]
         elif kind == 1 and isinstance(place, dict):
-            place[str(rng.choice(STRANGE))] = rng.choice(SWAPS)
+            place[str(rng.choice(STRANGE))] = deepcopy(rng.choice(SWAPS))
         elif kind == 2:
             place[key] = [place[key]] * rng.randint(1, 5)
         else:
-            place[key] = rng.choice(SWAPS)
+            # A copy, which later mutations of the document may change.
+            place[key] = deepcopy(rng.choice(SWAPS))
         if not _places(document):
             break
     return json.dumps(document).encode()
