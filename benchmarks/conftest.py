@@ -1,7 +1,5 @@
 """Shared problems of the benchmarks: the paper's scenario, scaled."""
 
-from __future__ import annotations
-
 import gc
 import time
 import tracemalloc

@@ -9,8 +9,6 @@ tenth of the draws holds the truth in less than 93 % or more than 99 % of them, 
 Carlo error.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Iterator

@@ -7,8 +7,6 @@ the twin, and a copy of it that is loaded as the faults are, must meet.
     python benchmarks/dishonest.py [--passes N] [--neighbours N] [--together N] [FAULT ...]
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

@@ -10,8 +10,6 @@ only ever makes a minimum larger. Exit 0: nothing worse, or no baseline yet, whi
 1: a regression; 2: bad input.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

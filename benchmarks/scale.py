@@ -12,8 +12,6 @@ tens of percent and not by factors; memory is that of the largest process. OUT i
 takes a gigabyte.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import json

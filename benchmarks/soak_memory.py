@@ -12,8 +12,6 @@ The first tenth is warm-up: what a library keeps once is no leak. Beyond it the 
 by more, and each line names the growth of one solver, and what that is for a step.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import multiprocessing

@@ -1,7 +1,5 @@
 """The paper's method as a controller uses it, beside bare calls of DAQP, on recorded sequences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import daqp

@@ -1,7 +1,5 @@
 """Building: condensing once, emitting every step. Read the ratios within each group."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """One step of every installed solver on a recorded sequence, and one step of the closed loop."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable

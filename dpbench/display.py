@@ -1,7 +1,5 @@
 """HTML tables that a notebook shows of an object, without script and style."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 

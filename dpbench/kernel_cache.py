@@ -5,8 +5,6 @@ neither can be written. Then they are kept in a folder of this process, which it
 inherit (NUMBA_CACHE_DIR), with links to kernels that were compiled before.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import suppress

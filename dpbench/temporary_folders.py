@@ -4,8 +4,6 @@ A folder is locked as long as its process lives; the folder of a killed process 
 next one makes a folder in the same place.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

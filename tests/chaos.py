@@ -7,8 +7,6 @@ Processes are found by a variable of their environment; a row is right if all it
 equal those of the undisturbed run.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The workers of the tests, and seeded synthetic records for a report without a campaign."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

@@ -1,7 +1,5 @@
 """Documents for maintainers, the README and worked examples agree with the code."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import re

@@ -1,7 +1,5 @@
 """The gate of `make bench-compare` on JSON files with planted changes."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The script behind the table of intervals in docs/method.md, with few draws."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import sys

@@ -1,7 +1,5 @@
 """Packaging: lowest versions that are tried, pins that are allowed, a wheel that is complete."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Errors of a person: one line, long lists cut, and the same behind a process boundary."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

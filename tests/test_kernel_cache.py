@@ -1,7 +1,5 @@
 """Kernels where Numba finds no folder to keep them in."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

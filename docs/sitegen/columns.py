@@ -1,7 +1,5 @@
 """The reference of columns, from the schema of the records."""
 
-from __future__ import annotations
-
 from dpbench.bench.record import schema
 from sitegen.markup import code, prose, table
 

@@ -1,7 +1,5 @@
 """What comes with the package: its vessels, scenarios and suites, from their files."""
 
-from __future__ import annotations
-
 from dpbench.bench.plan.suite import load_suite
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario, load_vessel

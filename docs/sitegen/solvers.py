@@ -1,7 +1,5 @@
 """A page for every solver, from its record and from what is known of its faults."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

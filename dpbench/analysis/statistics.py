@@ -6,8 +6,6 @@ of a sequence and Student's t, not from single steps. `benchmarks/coverage.py` m
 each interval holds the truth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A cell that was finished before with the same key is not run again, so an interr
 loses at most the cells in flight.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

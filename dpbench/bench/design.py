@@ -6,8 +6,6 @@ rest at a sway offset, to starboard and to port, steered by the certified optimu
 offset is held when from both sides the ship stays near the reference over the end of a long run.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import warnings

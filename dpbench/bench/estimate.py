@@ -6,8 +6,6 @@ A kind is one configuration in one mode. The time of its step, with all between 
 mean over the runs of the folder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ Finished cells are copied into one folder, as if they had been run there; missin
 are lost cells, which `dpbench run` into that folder runs.
 """
 
-from __future__ import annotations
-
 import re
 import stat
 import time

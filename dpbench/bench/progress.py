@@ -1,7 +1,5 @@
 """Receivers of the progress of a campaign."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 

@@ -1,7 +1,5 @@
 """The two tables of a campaign, made of all parts row group by row group."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 An argument has the name of the parameter that it is for.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The command `dpbench capability`: the wind a ship holds, and the accuracy of solvers there."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import textwrap

@@ -3,8 +3,6 @@
 Each kind imports its own work, so that an error appears before anything heavy is loaded.
 """
 
-from __future__ import annotations
-
 import difflib
 import os
 from pathlib import Path

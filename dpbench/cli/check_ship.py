@@ -1,7 +1,5 @@
 """Text of `dpbench check` on a ship: its numbers, its weather, the offsets its controller holds."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path

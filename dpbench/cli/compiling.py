@@ -1,7 +1,5 @@
 """Compile all kernels, so that no command waits for one: `python -m dpbench.cli.compiling`."""
 
-from __future__ import annotations
-
 import time
 
 from dpbench.bench.workers.child import LOOP, OWN, compile_in_processes, uncompiled_modules

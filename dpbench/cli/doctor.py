@@ -1,7 +1,5 @@
 """Text of `dpbench doctor`: this machine, whether it is quiet, and whether the harness is right."""
 
-from __future__ import annotations
-
 from dpbench.bench.judge.calibration import calibrate
 from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine

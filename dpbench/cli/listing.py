@@ -3,8 +3,6 @@
 Each kind imports its own work: only the cells of a suite take the planner and its kernels.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rich.console import Group, RenderableType

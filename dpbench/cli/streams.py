@@ -1,7 +1,5 @@
 """Standard streams that accept any text, also when closed, in a closed pipe or in ASCII."""
 
-from __future__ import annotations
-
 import codecs
 import io
 import os

@@ -1,7 +1,5 @@
 """JSON and nesting: the bounds within which a document that others wrote is parsed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path

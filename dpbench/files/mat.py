@@ -1,7 +1,5 @@
 """Read MATLAB files that others made in a separate process: SciPy dies of some damaged ones."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -3,8 +3,6 @@
 It imports nothing of dpbench, and limits itself before it reads a byte.
 """
 
-from __future__ import annotations
-
 import io
 import resource
 import sys

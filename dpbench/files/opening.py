@@ -4,8 +4,6 @@ A FIFO or a device in place of a file would block or never end, and a text parse
 hundred times the size of its file in memory.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Iterator

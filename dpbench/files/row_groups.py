@@ -5,8 +5,6 @@ description with offsets of the new place. The footer is a struct of Thrift's co
 (https://github.com/apache/thrift, thrift-compact-protocol.md; parquet-format, parquet.thrift).
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ file nor what its metadata call the uncompressed size tells: the numbers of valu
 lengths of words once they are read, each word once.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

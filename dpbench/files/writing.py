@@ -4,8 +4,6 @@ A file is written under a new name beside its place and then renamed, which repl
 leaves what it points to as it was. A folder that is a link is refused.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -3,8 +3,6 @@
 The constructor may be slow; `emit` is one product Z [θ; 1] into fresh memory and three views of it.
 """
 
-from __future__ import annotations
-
 from typing import Literal, TypedDict
 
 import numpy as np

@@ -33,8 +33,6 @@ F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1
 # Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.kernel_cache import njit

@@ -9,8 +9,6 @@ Eq. 36 in the paper lacks the selector K in front of K0, without which the sizes
 (K0 has N_c·n_u entries, Δu has n_u), and refers to an equation 38 that does not exist.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

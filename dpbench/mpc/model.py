@@ -8,8 +8,6 @@ Because the model is incremental, a constant disturbance and a constant u drop o
 paper's u = τ + Rᵀb (eq. 7) differs from τ by a constant at low frequency, and Δu = Δτ.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Limits of rate and amplitude between a planned move and the applied force (method.md 3)."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -9,8 +9,6 @@ most. They hold at N_c instants i = N_p/N_c, 2N_p/N_c, …, N_p, one per move, s
 the same rows; each row has a slack of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@
 The third-order filter gives a reference with continuous acceleration, which a ship can follow.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

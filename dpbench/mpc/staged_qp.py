@@ -24,8 +24,6 @@ the limits: it proves the condensed problem infeasible too. `condensed` therefor
 and r_i.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -8,8 +8,6 @@ Eq. 17 already counts Q at step N_p, hence W and not S: with W and N_c = N_p the
 is the linear-quadratic regulator at any horizon (Rawlings, Mayne & Diehl 2017, section 1.3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

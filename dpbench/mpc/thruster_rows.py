@@ -12,8 +12,6 @@ rows through the origin, whose other side is T, which no force exceeds. Every ot
 row of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The figures of the page for runs in memory; Altair is imported with the first."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

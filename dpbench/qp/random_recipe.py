@@ -1,7 +1,5 @@
 """Recipes of random parametric QPs: families, and the data a sequence is made from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from dpbench.errors import InputError

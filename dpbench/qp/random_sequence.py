@@ -11,8 +11,6 @@ P = Q Λ Qᵀ with λ = c^−½ … c^½ for a condition c, or P = B Bᵀ of les
 semidefinite to the last bit; A has rows of unit norm to within 1e-4, the spacing of its grid.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass

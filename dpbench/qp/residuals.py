@@ -9,8 +9,6 @@ The gap is an upper bound of |primal − dual objective| (p − d = Σ y⁺(u �
 terms + zᵀr), summed without cancellation, hence never negative.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf
 from typing import Generic, TypeVar

@@ -7,8 +7,6 @@ For N_p 30, N_c 5 these are the paper's 60 rows: M1 = [−C2; C2], M2 = [−I; I
 the two sides of one row combine to y = λ_upper − λ_lower.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram

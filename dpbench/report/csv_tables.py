@@ -1,7 +1,5 @@
 """Tables of the report: `tables/*.csv` with a legend, and the frames of `load_results`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Write numbers the way the report prints them: significant digits, units, no made-up values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal

@@ -1,7 +1,5 @@
 """The glossary: every term that is printed, out of one file, as pages and tooltips need it."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The verdict on the machine: how quiet it was while replays were timed, what is known of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isnan
 

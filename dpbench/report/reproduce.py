@@ -1,7 +1,5 @@
 """The paper from nothing: its loops, Figures 4-7, the data behind each, the table of its claims."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

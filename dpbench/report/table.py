@@ -1,7 +1,5 @@
 """Tables of text in Markdown and CSV, with words of others made harmless there."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence

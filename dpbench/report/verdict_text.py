@@ -1,7 +1,5 @@
 """Verdicts in plain words; every number in them comes from rows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Fixed words with numbers put in: templates of text, with the formats of the report as filters."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from functools import cache

@@ -1,7 +1,5 @@
 """Write the report of a result folder: `report.html`, `report.md`, `figures/` and `tables/`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

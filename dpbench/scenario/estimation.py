@@ -1,7 +1,5 @@
 """The estimator of a scenario, tuned to its ship and to its sea."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Horizons as text: "N_p/N_c", e.g. 30/5."""
 
-from __future__ import annotations
-
 import re
 
 Horizons = tuple[int, int]

@@ -17,8 +17,6 @@ D11 D22 D26 D62 D66 are entries in SI units, numbered as the six degrees of free
 be left out and are zero then, D62 is then D26.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping

@@ -10,8 +10,6 @@ Breadth and draught have no part in it: they measure how far the ship's form is 
 and the added masses of two published regressions how far the result can be trusted.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Find, read and validate the TOML files under `problems/`, and others by their path."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

@@ -5,8 +5,6 @@ A key is named as in the files, with dots: `environment.wind.speed_mps`, `start.
 `vessel.limits.rate_max_N_per_s.1` a key of its file.
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Mapping
 from dataclasses import replace

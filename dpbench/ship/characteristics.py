@@ -4,8 +4,6 @@ M ν̇ + D ν = τ + w, order surge, sway, yaw. Speeds are those at which linear
 force; it is meant for some cm/s, a faster hull meets quadratic drag too (Fossen 2021, chapter 6).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 

@@ -9,8 +9,6 @@ laws of `wind`, `current` and `waves`. Nothing here depends on the ship, so a ru
 once at the stage times of the integrator and the step loop only reads tables.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

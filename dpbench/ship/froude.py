@@ -5,8 +5,6 @@
 Accelerations and angles stay, so the model sees the same sea (Newman 1977, section 2.4).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

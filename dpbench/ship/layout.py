@@ -12,8 +12,6 @@ Numbers and not an enum: numba compiles a kernel with the value of a global numb
 disk does not see them change: after a change here, remove the `__pycache__` folders of `ship`.
 """
 
-from __future__ import annotations
-
 AXES = 3
 """Surge, sway, yaw along the ship; or north, east, heading over ground."""
 YAW = 2

@@ -23,8 +23,6 @@ the cost of the ship that has no wind, current or drift.
 What is measured: [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise], η_w the motion of the waves.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector

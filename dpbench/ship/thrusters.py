@@ -11,8 +11,6 @@ optimiser chooses, because azimuths are replaced by force components.
              main      −a_i T_i ≤ f_i ≤ T_i                     a_i: share of the thrust astern
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ A module of `libraries/` that holds an adapter is found by `adapters_in`: to wri
 register the solver.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ They run through the same path as every solver, but are neither judged nor ranke
 printed and subtracted nowhere.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

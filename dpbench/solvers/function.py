@@ -1,7 +1,5 @@
 """A plain function as a solver of policy `fresh`: the shortest plug-in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Concatenate
 

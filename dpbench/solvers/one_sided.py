@@ -6,8 +6,6 @@ Rows with l = u are equalities, infinite sides are left out. Multipliers come ba
 y = y_up − y_lo on inequalities and as they are on equalities.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

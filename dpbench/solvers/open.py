@@ -1,7 +1,5 @@
 """Open a workspace by the name of its solver."""
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 

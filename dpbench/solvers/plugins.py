@@ -11,8 +11,6 @@ the solver; a file is loaded by `table.load_solver_module`. RECORD names the mod
 so that it can be measured alone in a process.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import json

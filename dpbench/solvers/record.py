@@ -4,8 +4,6 @@ Tables, legends, tolerance levels, conformance tests and deployability are read 
 has a default that would hide a forgotten one: what is not known is `UNKNOWN_FACT`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

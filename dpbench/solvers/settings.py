@@ -4,8 +4,6 @@ The tolerance levels `default`, `low`, `mid` and `high` and further names of a s
 record (`by_tolerance`), for both routes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The table of solvers, their availability here, and isolation of one from the others."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import warnings

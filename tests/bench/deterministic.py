@@ -1,7 +1,5 @@
 """Small suites of tests, and what another run of the same cells has, bit for bit."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """How long a slow configuration goes on: rounds within a budget, limits, known waits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """A campaign writes the tables the outside relies on and keeps what is finished."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The design of the paper's controller: poles, the offset it holds, and how its record is kept."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

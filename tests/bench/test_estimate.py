@@ -1,7 +1,5 @@
 """What a campaign will take is what its last runs took, or what stated rates say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Random problems as cells of a suite: planned, replayed, judged and reported."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A finished result is replaced on request alone: another selection into its folder is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Whatever a solver writes over what it is given, it is judged against what it was asked."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What starting a campaign brings along, and what it does not."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

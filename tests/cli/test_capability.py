@@ -1,7 +1,5 @@
 """`dpbench capability`: the table within 80 columns, JSON, solvers judged, and bad input."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

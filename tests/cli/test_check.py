@@ -1,7 +1,5 @@
 """`dpbench check` takes what `dpbench run` takes, and says what is wrong in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What `dpbench check` says of a ship: short, aligned, and what the loop itself says."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`dpbench init`: three files of one's own ship; what cannot be is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

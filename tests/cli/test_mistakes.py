@@ -1,7 +1,5 @@
 """Mistakes a person makes: one line with place, found and allowed, exit 2, nothing written."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

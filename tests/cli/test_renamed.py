@@ -1,7 +1,5 @@
 """Old words in files and commands are still read, with one line that names the new word."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

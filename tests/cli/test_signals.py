@@ -1,7 +1,5 @@
 """A run that is ended from outside: one line, the exit code of the signal, nothing left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

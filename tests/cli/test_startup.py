@@ -1,7 +1,5 @@
 """Commands that answer at once load no library that they can do without."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What people read fits 80 columns and a dumb terminal, and has no codes in it."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

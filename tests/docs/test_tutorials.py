@@ -1,7 +1,5 @@
 """Whoever follows a page of the documentation from top to bottom gets what it promises."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys

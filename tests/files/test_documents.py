@@ -1,7 +1,5 @@
 """JSON that others wrote: how deep and how large it may be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

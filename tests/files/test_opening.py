@@ -1,7 +1,5 @@
 """What stands in the place of a file: whoever reads it says so in one line, and never waits."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

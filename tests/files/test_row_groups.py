@@ -1,7 +1,5 @@
 """Row groups that are joined byte for byte, read again by Arrow."""
 
-from __future__ import annotations
-
 import io
 import random
 from contextlib import suppress

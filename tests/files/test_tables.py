@@ -1,7 +1,5 @@
 """Parquet files that are small and unpack to gigabytes are refused by their metadata."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is written into a folder of others stays in it, and what was not written stays there."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

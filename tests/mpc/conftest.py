@@ -1,7 +1,5 @@
 """Control problems of every size, and a second, naive construction of their QPs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace

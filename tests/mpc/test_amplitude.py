@@ -1,7 +1,5 @@
 """Policies of the amplitude limits: hard, reachable and soft with an exact penalty."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The condensed QP against simulation of the model and against a naive second construction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

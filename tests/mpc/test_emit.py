@@ -1,7 +1,5 @@
 """Steps of the condensed QP: the affine map, memory, limits and units; re-linearised steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The unconstrained law, its gains and eigenvalues, the active-set correction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

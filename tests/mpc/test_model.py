@@ -1,7 +1,5 @@
 """The prediction model against integration."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

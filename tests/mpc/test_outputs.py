@@ -1,7 +1,5 @@
 """Bounds on predicted position and speed against stepping the model and against hard rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

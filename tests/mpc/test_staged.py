@@ -1,7 +1,5 @@
 """The stage-ordered problem against the condensed one: the same optimum, proofs included."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any

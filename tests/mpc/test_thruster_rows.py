@@ -1,7 +1,5 @@
 """Polygons of thrusters."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A result folder in a notebook: the tables of the report as data frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

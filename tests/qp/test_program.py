@@ -1,7 +1,5 @@
 """Steps and sequences of QPs, moves of their variables, and the paper's stacked form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import daqp

@@ -1,7 +1,5 @@
 """Random sequences."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from fractions import Fraction
 

@@ -1,7 +1,5 @@
 """Residuals that cannot be fooled, and the verdict built on them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

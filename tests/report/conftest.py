@@ -1,7 +1,5 @@
 """A report that several tests look at, written once a session: drawing starts slowly."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

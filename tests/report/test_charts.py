@@ -1,7 +1,5 @@
 """Figures: the rose of a capability, file formats, colours, and a limited address space."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

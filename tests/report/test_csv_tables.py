@@ -1,7 +1,5 @@
 """The tables beside the page hold the numbers of the records."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

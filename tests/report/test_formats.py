@@ -1,7 +1,5 @@
 """Numbers, tables and filled texts as the report prints them."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator
 from math import inf, isnan, nan

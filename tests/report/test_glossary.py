@@ -1,7 +1,5 @@
 """Every term the tool prints is in the glossary once, and the page of the docs is made of it."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path

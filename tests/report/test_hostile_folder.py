@@ -1,7 +1,5 @@
 """A report on a folder that a stranger made writes nowhere else, and shows his words as words."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

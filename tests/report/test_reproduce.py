@@ -1,7 +1,5 @@
 """The paper from nothing: files, numbers and claims, as the page of the same runs has them."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 that are read and to its three lowest frequencies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

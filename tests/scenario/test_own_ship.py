@@ -1,7 +1,5 @@
 """A library vessel at another size: back to its own size, by Froude's law, beside regressions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

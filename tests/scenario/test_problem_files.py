@@ -1,7 +1,5 @@
 """Finding and reading problem files: names, paths, and files that cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ The numbers below are typed from the sources (paper section IV; vessel data of t
 publications), not read from the files under `problems/`.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scenario and vessel files of one's own: where they are found, units, and what mistakes say."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

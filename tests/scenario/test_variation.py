@@ -1,7 +1,5 @@
 """Other values of a scenario's keys, against a file written with those values by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Weather, estimator, plant and faults as a person writes them."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the tests of the loads share: a ship with hull data and the force that it feels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a ship is, in numbers: against its equations solved in other ways, and the plant itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The weather against plain arithmetic, its independent sources, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

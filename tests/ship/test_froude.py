@@ -1,7 +1,5 @@
 """Froude factors of a model ship, and a scenario of the 1 : 70 model in SI units."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The plant in wind, current and drift against a second integrator, its order and its kernels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plant against closed forms, balances, symmetries and a second integrator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

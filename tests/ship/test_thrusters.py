@@ -1,8 +1,6 @@
 """Thrusters: published thrusts, the configuration matrix by the lever rule, what they give at most,
 and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

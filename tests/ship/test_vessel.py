@@ -1,7 +1,5 @@
 """Vessel data: the Bis scaling, time constants, mismatch, and what a vessel refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

@@ -1,7 +1,5 @@
 """Mutations of files: bytes, tokens of texts, values of JSON, arrays, columns of tables."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

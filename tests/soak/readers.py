@@ -1,7 +1,5 @@
 """What is soaked: real files of each kind, how they are mutated, and who reads them."""
 
-from __future__ import annotations
-
 import json
 import random
 import zlib

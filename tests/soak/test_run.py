@@ -1,7 +1,5 @@
 """The soak finds what it looks for: exceptions, deaths, endless loops, and memory."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

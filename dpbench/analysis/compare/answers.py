@@ -6,8 +6,6 @@ time limit stopped a run or an answer, the figures of the whole run are not comp
 is compared on the steps before that.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ and moderated by a prior, as in the moderated t-statistic (Smyth 2004, Stat. App
 far as it exceeds the usual one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

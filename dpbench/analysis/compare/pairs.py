@@ -1,7 +1,5 @@
 """Pairs of cells of two result folders with the same configuration on the same problem."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Solver releases compared: one configuration on one problem, version by version."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

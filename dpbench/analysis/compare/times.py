@@ -1,7 +1,5 @@
 """Step times of the same configurations in two runs: one ratio each, with its own noise."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Records of one result folder: runs by topic, and the step times of a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property

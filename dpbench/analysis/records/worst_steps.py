@@ -1,7 +1,5 @@
 """The hardest steps of a solver over all of its runs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

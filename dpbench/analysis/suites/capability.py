@@ -1,7 +1,5 @@
 """Capability plots, and which solvers tell what thrusters balance from what they do not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

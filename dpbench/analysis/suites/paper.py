@@ -4,8 +4,6 @@ Claims are those of section IV and Figures 4-7 of Xia, Liu, Pang & Xue, "Constra
 predictive control design for dynamic positioning of a supply ship".
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -6,8 +6,6 @@ Every certified step of a configuration counts once:
             infeasible + no answer
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 

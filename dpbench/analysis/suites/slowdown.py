@@ -1,7 +1,5 @@
 """Closed loops on slow computers, gathered: which slow-down each solver survives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

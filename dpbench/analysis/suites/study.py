@@ -15,8 +15,6 @@ run once are the sample.
 A difference is conditional on the runs that both configurations finished.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ reuse, native warm: the first step is the cost of the wrapper, the second the ga
 workspace, the third that of a warm start.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Horizon sweeps: replays of one scenario under several horizons."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

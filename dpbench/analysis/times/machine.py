@@ -1,7 +1,5 @@
 """Disturbances of the timed runs, by sequence and cause."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A configuration and an experiment are numbered as in `RunMatrix`, as text, where
 `id` and `experiment_id`; −1 is a configuration that was not run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

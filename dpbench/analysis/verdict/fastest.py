@@ -4,8 +4,6 @@ To use is the fastest that nothing contradicts and that can be deployed. The fas
 exist only as this benchmark's own Python code; it is named, and never recommended by itself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

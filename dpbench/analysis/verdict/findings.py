@@ -1,7 +1,5 @@
 """Findings on a configuration: its verdict, causes, doubts, and times near a limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -30,8 +30,6 @@ The tests of one kind are one family (Holm 1979): "proven" holds at a family-wis
 "doubtful" at one of `DOUBTFUL`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -6,8 +6,6 @@ of a computer, while an interrupt does not. The hardest step is of all replays, 
 hold the hardest steps of each scenario. Stalls are stated apart, as they were measured.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

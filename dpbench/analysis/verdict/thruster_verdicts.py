@@ -1,7 +1,5 @@
 """Solvers of controllers that command thrusters, beside those of three forces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite, nan

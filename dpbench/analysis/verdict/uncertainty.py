@@ -1,7 +1,5 @@
 """The uncertainty of step times between rounds: how near to a limit a time decides nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

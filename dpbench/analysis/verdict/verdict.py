@@ -11,8 +11,6 @@ measured, or may be late. It is *borderline* where nothing of that holds and a t
 uncertainty of a limit (`uncertainty.py`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ point. Below the first row half of the edge is taken; beyond the last row the la
 Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The largest wind a ship holds from each direction, intact and after each failure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache

@@ -1,7 +1,5 @@
 """The capability of a ship from all directions, intact and after each failure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A row is a QP at the edge, in the order of the sequence that solvers replay.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

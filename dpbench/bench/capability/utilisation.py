@@ -6,8 +6,6 @@ The load is balanced where u ≤ 1. Circles are second-order cones; with a numbe
 the polygons of the QPs.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from typing import Any

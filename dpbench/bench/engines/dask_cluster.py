@@ -1,7 +1,5 @@
 """A Dask cluster: reached by the address of its scheduler, or made of processes of this machine."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

@@ -5,8 +5,6 @@ reference loop, takes as long as all of its cells together: it is made once, in 
 that are needed next, and is released after its last cell.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The protocol of an engine: it takes batches, and hands back their results."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path

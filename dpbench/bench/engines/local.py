@@ -1,7 +1,5 @@
 """The engine of one machine: processes on its cores, sources in files beside the results."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack

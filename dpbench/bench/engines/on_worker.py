@@ -4,8 +4,6 @@ Cells run as on the campaign's own machine, in processes of their own (`CellExec
 a scratch folder until a task ends. Arguments and results are bytes. Nothing here needs Dask.
 """
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """The engines by name."""
 
-from __future__ import annotations
-
 import os
 from contextlib import AbstractContextManager
 

@@ -1,7 +1,5 @@
 """The files that QPs are made from, beside the results, each as long as a cell needs it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from pathlib import Path

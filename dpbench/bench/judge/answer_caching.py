@@ -11,8 +11,6 @@ Moving q a little in each round instead would not help: a table may round its ke
 steps, and repeatability and paired comparisons rest on identical bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """Tolerances of the harness's own configurations, and a quick run of all of them."""
 
-from __future__ import annotations
-
 import gc
 import os
 from dataclasses import dataclass

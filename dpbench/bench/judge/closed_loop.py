@@ -4,8 +4,6 @@ Every step is compared with the certified optimum of the *same* QP in scaled uni
 recorded θ; residuals are given in the solver's own units too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Closed-loop metrics of one run (method.md section 3), from arrays alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evaluation of the raw log of a replay: its answers, repeatability and disturbance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

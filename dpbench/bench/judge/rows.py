@@ -1,7 +1,5 @@
 """Rows of `steps.parquet` and `runs.parquet` from the columns of an evaluated cell."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Steps are the columns of `step_columns.py`, or those of `steps.parquet`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

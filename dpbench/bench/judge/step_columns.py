@@ -4,8 +4,6 @@ Plain arrays, as data frames would take ten times as long as a loop of a hundred
 that a run has not is left out; a missing integer is `MISSING_INT`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

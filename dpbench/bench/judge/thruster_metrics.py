@@ -4,8 +4,6 @@ Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear 
 measured by how much its thrust varies and how far its azimuth travels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

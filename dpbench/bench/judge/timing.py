@@ -1,7 +1,5 @@
 """Columns of `runs.parquet` on step times and deadlines, from the steps of one cell."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Planned cells, and those of QPs without a controller: recorded, random, of a capability."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The configurations of a suite: its solvers in every mode of each table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Expansion of a suite into cells, before anything runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Expansion of the studies of a suite into closed loops, with a check for idle keys."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Suites: which cells a campaign runs, and the requirements its report judges them by."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

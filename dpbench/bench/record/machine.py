@@ -1,7 +1,5 @@
 """The machine and the revision of dpbench that a result comes from."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json

@@ -7,8 +7,6 @@ to write or read, as much as a hundred steps of a loop.
     arrays in this order, each at a multiple of `_ALIGN` bytes
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

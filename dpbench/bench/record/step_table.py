@@ -6,8 +6,6 @@ Parquet file with the steps in one row group, and the columns of `runs.parquet` 
 metadata.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass

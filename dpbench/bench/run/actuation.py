@@ -4,8 +4,6 @@ A controller of forces commands u itself. One of thrusters commands their forces
 on the ship. A cascade allocates u to its thrusters; what they make of it becomes u.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector

@@ -1,7 +1,5 @@
 """Assembly of runs: closed loop or replay, raw log and timed solver, from a cell or sequence."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace

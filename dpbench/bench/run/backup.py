@@ -5,8 +5,6 @@ has no usable answer either, the fallback acts. A late answer is treated in `slo
 cascade, the backup is one of its first QP alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 
 from dpbench.arrays import Matrix, Vector

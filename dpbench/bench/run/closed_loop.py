@@ -6,8 +6,6 @@ is the force that was *applied*. Only the solver's call stands between two clock
 phases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Fallback policies: the move without a usable answer (method.md section 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ Python's and NumPy's allocations are traced; calls of `malloc` inside a library 
 so of the C heap only the growth is measured.
 """
 
-from __future__ import annotations
-
 import ctypes
 import resource
 import sys

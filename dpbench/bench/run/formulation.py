@@ -4,8 +4,6 @@ The loop emits QPs along the way; evaluators and sequences emit them again from 
 Whatever the solver is given, logs, fallback and referee use the condensed problem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

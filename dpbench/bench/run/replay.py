@@ -5,8 +5,6 @@ is a shortened warm-up. Two fixed kernels are timed by turns before and after ea
 reference kernel shows the clock of the core, the load kernel what else runs on the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -13,8 +13,6 @@ supersedes it.
 With a backup nothing is computed beyond the sample; docs/method.md states when it begins.
 """
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass

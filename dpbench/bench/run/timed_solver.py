@@ -5,8 +5,6 @@ which reaches whatever runs Python. A library that holds the interpreter is kill
 and the run goes on in another one after that step (`ResumedSolver`, `ReplayRun`).
 """
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """The QPs at a ship's capability boundary: made for a suite, or written as a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`dpbench export`: a scenario or a sequence as a file for others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args

@@ -15,8 +15,6 @@ suite `standard` the sum of active limits and their changes correlates better wi
 20 solvers than either of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

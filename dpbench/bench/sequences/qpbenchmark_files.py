@@ -3,8 +3,6 @@
 The table has P, q, G, h, A, b, lb, ub, flattened by rows, and a name per problem.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -6,8 +6,6 @@ Each file is a step, in the natural order of the names (2 before 10). The rows a
 those of A with both limits at b.
 """
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path

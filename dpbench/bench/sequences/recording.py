@@ -1,7 +1,5 @@
 """Recording of sequences, along an exactly solved loop or from files."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Sequences that ship with the package, by the rules of `problems/sequences/manifest.toml`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A file has the exactly solved loop, or a sequence with its certified optima.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Verification of a sequence: every optimum is certified and compared with the stored one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

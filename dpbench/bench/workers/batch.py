@@ -5,8 +5,6 @@ times are not compared: only replays are (`interleaved.py`). A cell that crashes
 and one that hangs only that step where it can go on behind it; the rest go on in a new process.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

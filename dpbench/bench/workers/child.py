@@ -1,7 +1,5 @@
 """Start a cell's process, watch its limits, and turn its end into an outcome."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import multiprocessing.forkserver

@@ -4,8 +4,6 @@ Closed loops, random sequences and files run side by side on the cores; timed re
 interleaved, one worker at a time.
 """
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence

@@ -15,8 +15,6 @@ The load kernel selects the rounds to repeat, never the solver's own times: that
 of two runs smaller than it is.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress

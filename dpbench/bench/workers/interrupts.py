@@ -1,7 +1,5 @@
 """Handling of Ctrl-C, SIGTERM and SIGHUP: the first ends the program, repeats do no harm."""
 
-from __future__ import annotations
-
 import math
 import multiprocessing.resource_tracker
 import signal

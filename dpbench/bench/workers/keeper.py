@@ -11,8 +11,6 @@ It sleeps in between and ignores signals of a terminal. If it is killed, the ker
 template, and thereby the workers.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

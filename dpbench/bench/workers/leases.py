@@ -3,8 +3,6 @@
 They are locks of files in a folder of this user in the temporary directory.
 """
 
-from __future__ import annotations
-
 import os
 import pwd
 import stat

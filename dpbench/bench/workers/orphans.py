@@ -5,8 +5,6 @@ prctl(2)), through any number of forks and sessions. That is the worker while it
 keeper (`keeper.py`), which has no other child but the template.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -5,8 +5,6 @@ some 64 MB of it where the replays of a suite can need 200, so that the next pla
 room is short. Folders of killed campaigns (`temporary_folders.py`) are removed first.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

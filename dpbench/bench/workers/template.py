@@ -4,8 +4,6 @@ It loads all but solvers, compiles kernels, and starts no thread; a fork of it t
 where a fresh interpreter takes half a second.
 """
 
-from __future__ import annotations
-
 import gc
 import time
 

@@ -4,8 +4,6 @@ Each runs in a process forked from a template without solvers (`child.py`), leav
 small JSON verdict, and never prints.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import warnings

@@ -6,8 +6,6 @@ in a process of its own; the worst of these steps is the point's score. Differen
 same seed and versions find the same case.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Goal of a search, and the worst step of an evaluated replay by that measure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -6,8 +6,6 @@ costs the sequence it failed on. Every sequence is answered by a new workspace a
 replays to the same figures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from multiprocessing.context import ForkServerContext
 from pathlib import Path

@@ -15,8 +15,6 @@ A point x in [−1, 1]^d makes a scenario with documents of its own, as any file
 A run starts without force (method.md section 3), and is long enough to reach the limits.
 """
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

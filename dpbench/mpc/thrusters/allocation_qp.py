@@ -12,8 +12,6 @@ next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, 
 `CondensedQP`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

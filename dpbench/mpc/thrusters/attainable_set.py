@@ -10,8 +10,6 @@ far more than the thrusters make at once, or excludes some of it. With thrusters
 fewer, but their edges are among the same: the normals stay and h falls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ lost thruster has no part in the balance; that it gives nothing is then the cost
 limit of it is degenerate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

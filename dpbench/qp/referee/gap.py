@@ -10,8 +10,6 @@ feasible to the last bit and every slack of an active row is τ to within the re
 difference of objectives is taken, which would be rounding noise.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -37,8 +37,6 @@ within the rounding of the bound:
 # Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.kernel_cache import njit

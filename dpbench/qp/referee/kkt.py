@@ -14,8 +14,6 @@ it is then a minimiser, and the only one: a second one would differ by a directi
 of C_W on which P vanishes, and K_W is non-singular.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

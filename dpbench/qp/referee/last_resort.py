@@ -29,8 +29,6 @@ Hence there is a minimiser, and every minimiser lies in that box. P may vanish w
 multipliers take its place: a vertex of a linear program is certified too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

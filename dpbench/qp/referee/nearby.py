@@ -37,8 +37,6 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 # Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.qp.referee.joint import JointQP, Signs

@@ -1,7 +1,5 @@
 """A certified optimum: the point, its multipliers, a bound of its error and the kind of proof."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

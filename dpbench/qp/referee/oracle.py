@@ -3,8 +3,6 @@
 A failing guesser only costs time: the exact active-set method needs no guess.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import import_module
 

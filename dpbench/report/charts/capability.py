@@ -1,7 +1,5 @@
 """Capability rose with the answers of solvers at its edge, and consequence analysis."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lines of one quantity against another, a line a configuration."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import altair as alt

@@ -1,7 +1,5 @@
 """Overview of all solvers: deadline ladder, verdict matrix, accuracy against time."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from math import isfinite

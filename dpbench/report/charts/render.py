@@ -1,7 +1,5 @@
 """The ways out of a figure: Vega for a page, SVG, PDF and PNG, without a browser."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Figures 4-7 of the paper for any scenario: path, errors, forces and increments of its laws."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Figures of single steps: one run over k, and two configurations on the same steps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import altair as alt

@@ -1,7 +1,5 @@
 """A study: what is held where, and how far configurations are behind in the same seas."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import altair as alt

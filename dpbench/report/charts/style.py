@@ -1,7 +1,5 @@
 """What all figures share: colours, shapes, fonts, axes, legends, tooltips."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

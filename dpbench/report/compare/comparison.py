@@ -1,7 +1,5 @@
 """Comparison of two result folders: step times, accuracy and control, in lines and tables."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Comparison of two result folders as a page: one file with one selection in the address."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Solvers over their releases, in words, tables and figures: times and errors of each version."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Markdown for pull requests: `report.md`, and the comparison of one solver with others."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

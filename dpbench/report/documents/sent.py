@@ -4,8 +4,6 @@ The page without scripts, runs, machine, suite, capability plots and a form for 
 steps stay at home: they are a hundred times as large.
 """
 
-from __future__ import annotations
-
 import datetime
 import re
 import shutil

@@ -3,8 +3,6 @@
 It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections import defaultdict
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Data of the page: the runs by configuration and experiment, both by number, and packed steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Data of the page's scripts: configurations, experiments, runs, and the first selection."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

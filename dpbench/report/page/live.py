@@ -1,7 +1,5 @@
 """The sections that follow the selection, each registered once in `SECTIONS`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import inf
 from typing import Any

@@ -1,7 +1,5 @@
 """The recommendation: which configuration to use, why, where that is valid, and what to paste."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

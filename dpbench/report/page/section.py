@@ -1,7 +1,5 @@
 """What the page is made of: sections that follow the selection, and topics below them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

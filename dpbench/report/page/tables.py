@@ -1,7 +1,5 @@
 """The table of all runs on the page, by groups of columns, and the tiles that it has room for."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Terms in the texts of a page, each a link to the page's glossary, and its list of scenarios."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `make vendored` fetches the version that `vendor/vendored.json` names and writes its hash there.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

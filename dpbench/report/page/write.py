@@ -1,7 +1,5 @@
 """Put the page together: one file that needs nothing beside it."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The topics of a result folder, in the order of the page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Thruster capability: wind held by direction, losses held over time, answers of solvers there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from math import isnan
 

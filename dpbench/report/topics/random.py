@@ -1,7 +1,5 @@
 """What solvers claim of random QPs whose optimum is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import pandas as pd

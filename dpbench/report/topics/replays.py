@@ -1,7 +1,5 @@
 """Topics on replays and loops: routes, formulations, settings, two solvers, a search, control."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

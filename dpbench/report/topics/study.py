@@ -1,7 +1,5 @@
 """A study: what holds where, what a configuration costs in the same seas, how loose it may be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a sweep shows: longer horizons, slower computers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Against the best loop in the same scenario: of those that are right on every ste
 the one nearest to the exactly solved loop. What differs from it is due to the solver.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite

@@ -1,7 +1,5 @@
 """Can the times be believed: the machine, the harness measured by itself, what is not covered."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The thrusters that a controller commands: their limits, their weight, their turning rates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

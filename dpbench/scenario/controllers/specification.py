@@ -1,7 +1,5 @@
 """Tables and ship that a controller is made from, and what all controllers take from them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

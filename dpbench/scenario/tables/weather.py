@@ -4,8 +4,6 @@ Wind and waves come *from* a compass direction, a current sets *towards* one. Fo
 is scaled by Froude's law.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

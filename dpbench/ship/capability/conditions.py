@@ -3,8 +3,6 @@
 Wind, waves and current come from one direction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -15,8 +15,6 @@ the bow angle. The standard's y points to port; here it points to starboard, and
 there.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ An azimuth may not send its race onto a working thruster (3.11.3), and loses thr
 dead one (3.11.4) or a skeg (3.11.5); α is where it pushes to, clockwise from ahead.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

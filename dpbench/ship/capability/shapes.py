@@ -10,8 +10,6 @@ notch and wherever a sector would be wider than half a turn, into pieces that ar
         ╰╯ zone
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ An estimator keeps the low-frequency motion, which the thrusters can and should 
 leaves out the first-order wave motion, which they cannot.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 

@@ -15,8 +15,6 @@ JONSWAP: S(ω) = A_γ (5/16) Hs² ω_p⁴ ω⁻⁵ exp(−(5/4)(ω/ω_p)⁻⁴) 
          A_γ = 1 − 0.287 ln γ,   σ = 0.07 up to ω_p, 0.09 above
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ where (u_w, v_w) is the vector of length |Z| along the waves in body axes: the l
 *First-order motion* is the wave-frequency motion that a measurement sees on top of the ship's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

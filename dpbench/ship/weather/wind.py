@@ -11,8 +11,6 @@ bow away from it, until it blows from abeam.
 Directions are where the wind blows *to*, clockwise from north in rad.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Clarabel: one-sided, vectors updated, no start; status names as in its Rust source."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

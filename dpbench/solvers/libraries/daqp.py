@@ -1,7 +1,5 @@
 """DAQP: its `Model`, two-sided, bounds first, active set kept or emptied."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from math import isfinite
 from typing import Any

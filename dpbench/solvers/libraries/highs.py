@@ -1,7 +1,5 @@
 """HiGHS: two-sided, vectors changed in its model, no start."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

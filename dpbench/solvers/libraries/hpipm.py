@@ -4,8 +4,6 @@
 takes an infinite side as one that is masked out, and l = u as an equality of its own.
 """
 
-from __future__ import annotations
-
 import ctypes
 from abc import abstractmethod
 from importlib import import_module

@@ -11,8 +11,6 @@ Vectors of all stages are in one array each, so that a step gathers them at once
 the stages in which something has changed are handed over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """OSQP: its extension module, vectors updated, start given or cold; time in seconds."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -1,7 +1,5 @@
 """PIQP, dense, sparse or by stages: vectors updated, no start; time in seconds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import import_module
 from operator import attrgetter

@@ -11,8 +11,6 @@ one-sided form, on route qpsolvers, are found infeasible at once.
 Behind qpsolvers its iterations are outer plus inner ones.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from importlib import import_module

@@ -1,7 +1,5 @@
 """QOCO through its own interface: one-sided, vectors updated, no start."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

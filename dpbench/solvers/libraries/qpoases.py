@@ -5,8 +5,6 @@ takes some milliseconds. The working set belongs to the homotopy from the previo
 next and is not shifted.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

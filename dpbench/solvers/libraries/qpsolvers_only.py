@@ -1,7 +1,5 @@
 """Libraries that dpbench runs through qpsolvers alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import import_module
 from typing import Any

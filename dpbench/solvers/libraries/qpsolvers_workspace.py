@@ -5,8 +5,6 @@
 status. qpsolvers sets the library up anew at every solve.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

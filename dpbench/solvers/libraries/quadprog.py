@@ -1,7 +1,5 @@
 """quadprog: one-sided, the inverse factor of P made once."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -1,7 +1,5 @@
 """SCS: one-sided, vectors updated, start given or cold; time in milliseconds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Records of dpbench's own solvers; compiled code is loaded, or compiled, when it is first used."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter

@@ -4,8 +4,6 @@ The problem is kept as the array S of `active_set.layout`; `solve` of a subclass
 call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,6 @@ call of `active_set.kernel`; what rounding keeps that call from deciding is left
 conditions of `active_set.check`, or whose place rounding decides (`exact_point.is_sensitive`).
 """
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

@@ -4,8 +4,6 @@ A template that cells are forked from imports it where a cell runs one of them, 
 run has to.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.qp.program import QuadraticProgram

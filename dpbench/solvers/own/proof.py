@@ -22,8 +22,6 @@ angle of 1e-10 are still told apart; this module refines the answer on the set a
     refinement:  P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

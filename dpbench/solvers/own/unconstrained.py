@@ -5,8 +5,6 @@
 The closed loop clips it to the actuator limits, which is what a controller without a QP does.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg
 

@@ -1,7 +1,5 @@
 """Frontiers that several tests look at, made once."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The QPs at the edge: certified, of one shape, feasible before it and infeasible beyond."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

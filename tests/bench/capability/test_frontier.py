@@ -1,7 +1,5 @@
 """The largest wind held: published numbers, symmetry, order of polygons, and linear programs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A small suite with all kinds of cells, and its result on the engine of one machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

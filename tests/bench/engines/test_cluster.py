@@ -1,7 +1,5 @@
 """What is counted of a cluster's workers, and which of them are refused."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A Dask cluster gives the same results as one machine, whatever of it dies."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """What a worker of a cluster does by itself: it looks at versions, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Engines that cannot be opened: one line, exit 2, nothing written."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

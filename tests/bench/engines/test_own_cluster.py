@@ -1,7 +1,5 @@
 """A cluster of this machine is reached by nobody else."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

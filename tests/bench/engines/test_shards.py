@@ -1,7 +1,5 @@
 """Shards of a suite, run apart and gathered, are the suite."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scheduler with TLS is reached with the right files; wrong ones are one line, exit 2."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A ship with round numbers, for control metrics of trajectories worked by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace

@@ -4,8 +4,6 @@ The clock is simulated (but for one whole campaign): solving takes `WORK_NS`, lo
 `LOOK_UP_NS`, so nothing depends on the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The bars of the harness's own configurations, and its quick run on a simulated clock."""
 
-from __future__ import annotations
-
 import gc
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What is said of a step that solves two QPs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

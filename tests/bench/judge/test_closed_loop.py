@@ -1,7 +1,5 @@
 """The judged columns of a loop of five steps whose log is changed where it must be noticed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Effort, cost, deviation and limit figures of runs worked by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import product

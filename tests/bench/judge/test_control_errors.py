@@ -1,7 +1,5 @@
 """Position and heading figures of trajectories worked by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

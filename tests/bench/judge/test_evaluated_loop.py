@@ -1,7 +1,5 @@
 """Columns and figures of a closed loop whose log is written by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from dpbench import load_scenario

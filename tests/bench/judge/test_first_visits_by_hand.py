@@ -1,7 +1,5 @@
 """First visits and loop ratios worked by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

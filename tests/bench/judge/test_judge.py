@@ -1,7 +1,5 @@
 """What is judged is what was asked and what was answered, whatever a solver does with either."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

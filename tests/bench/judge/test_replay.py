@@ -1,7 +1,5 @@
 """The judged columns of a replay whose QPs have the optimum k + 1 at step k, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which rounds and steps count, and whom a step is charged to: one rule for every table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

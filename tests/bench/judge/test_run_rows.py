@@ -1,7 +1,5 @@
 """Rows of both tables, with failure, accuracy and deadline figures counted by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

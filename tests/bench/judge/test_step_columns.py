@@ -1,7 +1,5 @@
 """The columns of steps from judged columns of three steps, worked by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Thrust, power, wear and limit figures of thrusters in runs worked by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The columns of `runs.parquet` on step times, from few steps worked by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

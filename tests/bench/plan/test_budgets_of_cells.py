@@ -1,7 +1,5 @@
 """Default and explicit budgets, time limits and deadlines of cells."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Horizon sweeps: planned once per pair of horizons, refused in one line, recorded with sizes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

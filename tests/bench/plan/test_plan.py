@@ -1,7 +1,5 @@
 """A suite becomes cells: each once, under all the names it was asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Studies: points of keys, draws, replicates, and the cells they mean."""
 
-from __future__ import annotations
-
 from math import prod
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Finished cells: what parts and public tables hold, and what no kill costs."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A result folder has one writer at a time, and is claimed through no link."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Arrays that are kept in one piece come back as they were, and damage is seen."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 from collections.abc import Callable

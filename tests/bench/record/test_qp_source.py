@@ -1,7 +1,5 @@
 """Descriptions of QP sources: as campaigns have written them, so that run ids stay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The raw log survives its writer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

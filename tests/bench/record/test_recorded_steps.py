@@ -1,8 +1,6 @@
 """Steps asked for by run and column: the same from a file as from a table in memory, and no more of
 the file is read than is asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

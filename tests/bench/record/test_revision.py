@@ -1,7 +1,5 @@
 """Which commit made a run: of a checkout, of an installation, of neither."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import subprocess

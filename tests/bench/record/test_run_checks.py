@@ -1,7 +1,5 @@
 """Rows of `runs.parquet` and descriptions beside them that no campaign writes: one line each."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

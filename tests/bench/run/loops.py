@@ -1,7 +1,5 @@
 """Closed loops whose solvers and clocks are simulated."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

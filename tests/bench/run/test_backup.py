@@ -1,7 +1,5 @@
 """The backup steps in where the first solver fails or is late, and never as if it had more time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

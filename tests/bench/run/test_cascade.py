@@ -1,8 +1,6 @@
 """Closed loops of a cascade: against a loop written out here, solvers of several kinds, lost
 thrusters, what acts without an answer, the log, and its allocations as a sequence."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import math

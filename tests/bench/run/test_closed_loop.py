@@ -1,7 +1,5 @@
 """The closed loop does what method.md section 3 says, whatever the solver does."""
 
-from __future__ import annotations
-
 import copy
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Formulations as an axis: the same problems, the same assessment, refused where there are none."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from pathlib import Path
 from typing import Any

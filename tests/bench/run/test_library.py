@@ -1,7 +1,5 @@
 """Each scenario of the library shows what its paragraph says; the certified optimum steers."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import fields, replace
 from functools import cache

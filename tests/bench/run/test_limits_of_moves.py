@@ -1,7 +1,5 @@
 """Applied forces and moves of the fallback, worked by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

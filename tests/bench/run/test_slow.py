@@ -1,7 +1,5 @@
 """On a slow computer answers come late, at the samples and with the forces worked out by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Closed loops that steer thrusters: against a loop written out here, limits of what is applied,
 lost thrusters, and what slow thrusters give."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A step that hangs is ended, and a loop goes on behind one that was killed as if it had failed."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Consequence analysis: its QPs against linear programs on corners of polygons, and as cells."""
 
-from __future__ import annotations
-
 import copy
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Windows of the hardest steps: the rule by hand, their place in a plan, and the QPs they hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

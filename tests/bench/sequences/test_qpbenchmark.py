@@ -1,7 +1,5 @@
 """A test set for qpbenchmark: it runs as it is, and its residuals are ours."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

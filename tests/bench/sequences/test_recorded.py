@@ -1,7 +1,5 @@
 """What others recorded: a folder of problems by qpsolvers, or our own file, through the solvers."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

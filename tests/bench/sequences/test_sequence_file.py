@@ -1,7 +1,5 @@
 """Recorded sequences as files: what stands in them, and what is said of a bad one."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace

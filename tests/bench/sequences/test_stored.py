@@ -1,7 +1,5 @@
 """The sequences that ship: what the manifest states, what the files hold, what is said of a lie."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What a solver does to its process is charged to it; what befalls the harness is `lost`."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Cells of one configuration in one process: whatever becomes of one, the others do not change."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

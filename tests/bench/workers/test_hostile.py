@@ -1,7 +1,5 @@
 """A plug-in that harms what is around it costs its own cells alone, and leaves nothing."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

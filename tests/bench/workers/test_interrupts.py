@@ -1,7 +1,5 @@
 """Ctrl-C: heard once where it must be, held back where a process is not ready for it."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

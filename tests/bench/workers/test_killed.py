@@ -1,7 +1,5 @@
 """A campaign that is killed with SIGKILL, at whatever moment, is the same once it has gone on."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

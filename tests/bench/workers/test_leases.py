@@ -1,7 +1,5 @@
 """What campaigns that know nothing of each other share on a machine: its cores, and its quiet."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

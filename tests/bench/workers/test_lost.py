@@ -1,7 +1,5 @@
 """What befalls the harness beside its cells: they are lost or run once more, and blame nobody."""
 
-from __future__ import annotations
-
 import errno
 import os
 from multiprocessing.context import ForkServerProcess

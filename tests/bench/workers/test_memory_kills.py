@@ -1,7 +1,5 @@
 """Outcomes of processes killed by SIGKILL, with and without want of memory."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from types import SimpleNamespace

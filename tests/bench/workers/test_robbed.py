@@ -1,7 +1,5 @@
 """Rounds that a neighbour robbed: which they are, and how they run again within a budget."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 

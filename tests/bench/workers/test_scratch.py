@@ -1,7 +1,5 @@
 """Room for logs: what a killed campaign left takes none."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """One process for all replays of a configuration: who serves what, and what an end of it costs."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager

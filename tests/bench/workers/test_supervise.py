@@ -1,7 +1,5 @@
 """A cell's process that crashes, hangs or never starts becomes an outcome."""
 
-from __future__ import annotations
-
 import os
 import time
 from multiprocessing.context import ForkServerContext

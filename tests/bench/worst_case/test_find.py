@@ -1,7 +1,5 @@
 """The search: what it finds is worse than the scenario itself, and replays to the same figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The allocation QP of a cascade, against other constructions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

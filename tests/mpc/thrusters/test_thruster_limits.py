@@ -1,7 +1,5 @@
 """Azimuths that turn at a limited rate: the rows of a step, what is cut, a run that keeps to it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The QP of a controller that commands thrusters, against other constructions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The referee against independent solvers, at its limits, and on what it must not certify."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from fractions import Fraction
 from itertools import product

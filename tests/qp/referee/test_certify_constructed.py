@@ -1,7 +1,5 @@
 """Certified optima of problems built around a known optimum."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

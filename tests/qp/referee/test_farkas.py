@@ -1,7 +1,5 @@
 """Certificates of infeasibility and unboundedness: true ones found, false ones refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest.mock import Mock
 

@@ -1,7 +1,5 @@
 """Exact arithmetic and compiled kernels against fractions; nearby active sets."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import Any

@@ -1,7 +1,5 @@
 """Optima that only the last resort certifies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product

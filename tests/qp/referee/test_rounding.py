@@ -1,7 +1,5 @@
 """Infeasible by rounding or in earnest: planted violations of known size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any

@@ -4,8 +4,6 @@ Playwright drives a Chromium of the system. Where either is absent the tests are
 reason; with `DPBENCH_BROWSER=required`, as CI sets it, they fail instead.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the page of a comparison does in a browser: its selection, its figures, its table."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

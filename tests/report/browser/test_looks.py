@@ -1,7 +1,5 @@
 """How the page looks: to a screen reader, on a phone, in the dark, and where texts stand."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the page does in a browser: its selection, its figures, its files, and nothing else."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page of a study in a browser: one selection of configuration, point and sea."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Two result folders against each other, with planted differences: verdicts, refusals, exits."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping

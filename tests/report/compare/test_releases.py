@@ -1,7 +1,5 @@
 """Solvers over their releases: versions in order, times, errors, what is no change."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A solver beside others, for its author: a short comment, and the steps that export writes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

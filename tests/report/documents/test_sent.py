@@ -1,7 +1,5 @@
 """A result folder that is sent to us: made whole, and every fault of one said in a line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

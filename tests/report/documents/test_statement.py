@@ -1,7 +1,5 @@
 """The statement: one page on what holds, with hashes; none where nothing does."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Data of the page: experiments, verdicts, cells and studies, against their records."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

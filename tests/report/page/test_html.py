@@ -1,7 +1,5 @@
 """The page is one valid file that needs nothing beside it; its script finds what it asks for."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Packed arrays, read by a decoder written from their description; thinning of long runs."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

@@ -1,7 +1,5 @@
 """The answer in page, Markdown and terminal: its numbers are those of the verdicts."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every kind of suite has a page of its own: what it has is shown, what nobody asked for is not."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

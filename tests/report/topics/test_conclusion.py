@@ -1,7 +1,5 @@
 """What an operator is told whose controller steers thrusters: no more than the runs carry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

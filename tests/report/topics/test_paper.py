@@ -1,7 +1,5 @@
 """The paper: claims, choices and stability follow the records."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Topics on replays: formulations side by side, and the quality of measurements."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from dpbench.analysis.times.contrasts import route_gains

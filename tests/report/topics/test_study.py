@@ -1,7 +1,5 @@
 """The figures of a large study stay small, and say what they leave out."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

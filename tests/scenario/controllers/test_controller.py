@@ -1,7 +1,5 @@
 """The protocol of controllers: kinds by key, limits over time, a class of its own in a run."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import numpy as np

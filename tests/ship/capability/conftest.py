@@ -1,7 +1,5 @@
 """What was published of the rescue ship Ratownik, and the ship itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

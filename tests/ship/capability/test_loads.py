@@ -1,7 +1,5 @@
 """Mean loads of level 1: the published ones of a ship, symmetry, and the weather between rows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

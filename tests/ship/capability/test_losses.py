@@ -1,7 +1,5 @@
 """Losses of thrust: the published factors of a ship, hand-worked cases of the standard's rules."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an azimuth may give: the pieces are convex, and together what zones and losses leave."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What every estimator promises, on the nonlinear ship."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Kalman filter against its own stochastic model, built and simulated a second time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

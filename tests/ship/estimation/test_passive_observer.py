@@ -1,7 +1,5 @@
 """The passive observer against its equations written a second time, and its tuning rules."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

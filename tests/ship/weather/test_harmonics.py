@@ -1,7 +1,5 @@
 """Realisations of a spectrum: energy, where it lies, and the sum itself."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

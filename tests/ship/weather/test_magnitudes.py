@@ -4,8 +4,6 @@ The table is for a hull of 76 m. Breadth 18 m, draught 6 m and areas of 290 and 
 for such a supply ship; the coefficients are those of the standard.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

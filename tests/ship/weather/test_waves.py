@@ -1,7 +1,5 @@
 """The sea, its drift force and the motion it adds to a measurement."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Wind on the hull: Fossen's law, its signs, the gusts, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

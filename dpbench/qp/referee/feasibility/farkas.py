@@ -8,8 +8,6 @@
 A feasible z would give 0 = zᵀ(Aᵀy + y_box) ≤ the sum on the left of "< 0".
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from fractions import Fraction
 from itertools import chain

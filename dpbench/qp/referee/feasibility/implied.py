@@ -13,8 +13,6 @@ has no interior and its multipliers are not unique, but with those variables fix
 dropped it has the same feasible set and an active set beyond doubt.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

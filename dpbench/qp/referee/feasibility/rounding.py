@@ -21,8 +21,6 @@ empty (equality rows, dependent ones, limits that force a vertex) stays feasible
 solver accepts violations up to a tolerance far above rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

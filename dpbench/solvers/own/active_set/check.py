@@ -16,8 +16,6 @@ the norm of P the correction is at most ‖e‖ + √(δλᵀ H_WW δλ). The fi
 v₀ that K and L are in error by, and the next one would be ρ of the first.
 """
 
-from __future__ import annotations
-
 from math import inf, sqrt
 
 from dpbench.arrays import Matrix

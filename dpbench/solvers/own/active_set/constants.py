@@ -8,8 +8,6 @@ With P = L Lᵀ, C = [I; A] and J = L⁻¹ Cᵀ,
 without which the compiled loops take twice as long.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -25,8 +25,6 @@ A few entries in a few rows so cost a few per cent of factorising P and of all p
 active set stays; its factor is made again from H.
 """
 
-from __future__ import annotations
-
 from math import inf, sqrt
 
 import numpy as np

@@ -60,8 +60,6 @@ the method stops where the table does:
 (4, [1.0, 1.0])
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any

@@ -42,8 +42,6 @@ span before n_pad and one behind it:
     another                    × ×      × ×   × × × ×    × ×  │  1  2  0 16 16 64
 """
 
-from __future__ import annotations
-
 import marshal
 import zlib
 from collections.abc import Callable

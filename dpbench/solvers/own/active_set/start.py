@@ -68,8 +68,6 @@ that rounding moves 1e6 times as far as a limit.
 (False, True)
 """
 
-from __future__ import annotations
-
 from math import floor, inf, sqrt
 
 from dpbench.arrays import Matrix
