@@ -25,6 +25,10 @@ class Backup:
     ----------
     solver : its workspace is set up at every step; moves : maps z to the plan (N_c, n_u).
     hung : steps in which it hung in an earlier process, each for `limit_ns`.
+
+    Attributes
+    ----------
+    recorded_ready_ns : (K,) when its answers of an earlier process were ready on a slow computer.
     """
 
     def __init__(
@@ -38,6 +42,7 @@ class Backup:
     ) -> None:
         self.solver, self.log, self._moves = solver, log, moves
         self._hung, self._limit_ns = hung, limit_ns
+        self.recorded_ready_ns = log.ready_ns.copy()
         log.times[:], log.ready_ns[:] = -1, -1
 
     def prepare(self) -> None:
@@ -46,9 +51,13 @@ class Backup:
 
     def plan(self, k: int, step: QPStep) -> Matrix | None:
         """Return the plan (N_c, n_u) of the answer to step k; None without a usable one."""
+        return self.record(k, self.answer(k, step))
+
+    def answer(self, k: int, step: QPStep) -> Solution:
+        """Solve step k; return the missing answer where it hung in an earlier process."""
         if k in self._hung:
-            return self.record(k, self.solver.missing(self._limit_ns))
-        return self.record(k, self.solver.answer(step))
+            return self.solver.missing(self._limit_ns)
+        return self.solver.answer(step)
 
     def record(self, k: int, answer: Solution) -> Matrix | None:
         """Record the answer to step k; return its plan (N_c, n_u), None if unusable."""

@@ -16,6 +16,7 @@ With a backup nothing is computed beyond the sample; docs/method.md states when 
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -165,7 +166,7 @@ class SlowComputer:
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
-        solution, latency_ns = self._time_answer(self._solver, step)
+        solution, latency_ns = self._time_answer(self._solver, self._solver.answer, step)
         self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
         samples = self._delay.samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
@@ -179,10 +180,12 @@ class SlowComputer:
                 self._solve_by_backup(self._backup, step, begins_ns)
         return solution
 
-    def _time_answer(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
+    def _time_answer(
+        self, solver: TimedSolver, answer: Callable[[QPStep], Solution], step: QPStep
+    ) -> tuple[Solution, int]:
         """Return a solver's answer and its latency [ns]."""
         switches, used_ns = self._usage()
-        solution = solver.answer(step)
+        solution = answer(step)
         switches_after, used_after_ns = self._usage()
         step_ns = spent_ns(solver.phases_ns)
         if solver.repeated:
@@ -195,8 +198,13 @@ class SlowComputer:
 
     def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
         """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
-        answer, latency_ns = self._time_answer(backup.solver, step)
-        plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
+        solve, recorded_ns = partial(backup.answer, self._k), -1
+        answer, latency_ns = self._time_answer(backup.solver, solve, step)
+        if self._solver.repeated:
+            # The step that hung has none yet.
+            recorded_ns = int(backup.recorded_ready_ns[self._k])
+        ready_ns = recorded_ns if recorded_ns >= 0 else begins_ns + latency_ns
+        plan = backup.record(self._k, answer)
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
         if plan is None or ready_ns > self._delay.sample_ns:

@@ -99,12 +99,10 @@ class BatchCell:
 def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Return round and step in which the killed process of a cell hung, by its log.
 
-    None where it cannot go on behind it: it hung too often, outside of its steps, or on a slow
-    computer with a backup. The log counts as not started again, so that the next process has time
-    to open its library.
+    None where it cannot go on behind it: it hung too often, or outside of its steps. The log counts
+    as not started again, so that the next process has time to open its library.
     """
-    # The latencies of a backup are not repeated, and it may steer otherwise with others.
-    if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
+    if len(before) >= MOST_HANGS:
         return None
     try:
         log = RawLog.open(raw)

@@ -20,6 +20,7 @@ from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.slow_computer import never_preempted
 from dpbench.bench.run.timed_solver import HANG_DETAIL, RunDelay, TimedSolver, run_delay, step_alarm
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -154,17 +155,22 @@ def goes_on(
         workspace = leaving(opened(), fails)
         workspace.reopen = opened
         setup = closed_loop_setup(cell, scenario, workspace, new_log, NO_LIMIT_NS)
+        setup.usage = never_preempted
         with nullcontext() if fails else pytest.raises(SystemExit):
             assert closed_loop(setup)
     expected, log = logs
     assert log.done[0] == at
+    ready_ns = None if log.backup is None else log.backup.ready_ns[:at].copy()
     again = closed_loop_setup(cell, scenario, opened(), lambda _: log, limit_ns, hung=[at])
-    again.limit_ns = NO_LIMIT_NS
+    again.limit_ns, again.usage = NO_LIMIT_NS, never_preempted
     late_ns = log.latency_ns.copy()
     assert closed_loop(again)
     for array in ("state", "tau", "status", "flags", "iterations"):
         np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
     np.testing.assert_array_equal(log.latency_ns[:at], late_ns[:at])
+    if log.backup is not None and expected.backup is not None:
+        np.testing.assert_array_equal(log.backup.acted, expected.backup.acted)
+        np.testing.assert_array_equal(log.backup.ready_ns[:at], ready_ns)
     return log, expected
 
 
@@ -182,31 +188,34 @@ def test_a_loop_goes_on_behind_the_step_that_hung(name: str, backup: str) -> Non
 
 @pytest.mark.slow
 @pytest.mark.alone  # A step of any other solve that takes a sample would be late too.
-def test_a_slow_computer_goes_on_behind_the_step_that_hung() -> None:
+@pytest.mark.parametrize("backup", ["", "paper_active_set"])
+def test_a_slow_computer_goes_on_behind_the_step_that_hung(backup: str) -> None:
     limit_ns, at = round(1.1 * SAMPLE_S * 1e9), 11
+    # Without a backup step 5 is not solved, as the processor is busy; one stops the late step 4.
+    solved = at if backup else at - 1
 
     def leaving(inner: Workspace, fails: bool) -> Workspace:
-        # Step 5 is not solved, as the processor is busy.
-        return _Late(inner, at - 1, fails=fails, k=-1 - WARM_UP_SOLVES)
+        return _Late(inner, solved, fails=fails, k=-1 - WARM_UP_SOLVES)
 
-    log, _ = goes_on("paper", leaving, at, limit_ns, slowdown=1.0)
+    deadline_s = 0.2 if backup else 0.0
+    log, _ = goes_on(
+        "paper", leaving, at, limit_ns, slowdown=1.0, backup=backup, deadline_s=deadline_s
+    )
     assert log.latency_ns[at] == limit_ns
-    assert np.flatnonzero(log.latency_ns < 0).tolist() == [5, at + 1]
+    assert np.flatnonzero(log.latency_ns < 0).tolist() == ([] if backup else [5, at + 1])
+    if log.backup is not None:
+        assert np.flatnonzero(log.backup.ready_ns >= 0).tolist() == [4, at]
 
 
-@pytest.mark.parametrize(("backup", "resumed"), [("", True), ("quadprog", False)])
-def test_a_killed_loop_of_a_slow_computer_goes_on(
-    backup: str, resumed: bool, tmp_path: Path
-) -> None:
-    files = load_scenario("paper").files
+def test_a_killed_loop_of_a_slow_computer_goes_on(tmp_path: Path) -> None:
     cell = Cell(
-        *("closed_loop", files, "daqp", "native", "reuse", "default", 9),
+        *("closed_loop", load_scenario("paper").files, "daqp", "native", "reuse", "default", 9),
         slowdown=2.0,
-        backup=backup,
+        backup="quadprog",
     )
     log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
     log.started[0], log.done[0] = 1, 4
-    assert find_hang(cell, tmp_path / "a.raw", []) == ((0, 4) if resumed else None)
+    assert find_hang(cell, tmp_path / "a.raw", []) == (0, 4)
 
 
 def _work_ms(ms: float) -> None:
