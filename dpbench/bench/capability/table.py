@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from dpbench.bench.capability.batch import Point
+from dpbench.bench.capability.frontier import INTACT
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.errors import ResultsError
 from dpbench.files.tables import decode_words, open_table
@@ -76,9 +78,24 @@ def load_capability(folder: Path) -> pd.DataFrame | None:
         with open_table(path, error=ResultsError) as file:
             table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
         plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
-        return plots.astype(COLUMNS)
+        plots = plots.astype(COLUMNS)
     except ResultsError:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
         raise ResultsError(str(path), "", found, "a parquet table; run again") from error
+    _check_plots(plots, path)
+    return plots
+
+
+def _check_plots(plots: pd.DataFrame, path: Path) -> None:
+    """Raise ResultsError for winds that are no numbers, and for a plot without the intact ship."""
+    for name in ("from_deg", "wind_mps", "edge_mps"):
+        finite = np.isfinite(plots[name].to_numpy())
+        if not finite.all():
+            found = plots.loc[~finite, name].iloc[0]
+            raise ResultsError(str(path), name, found, "a finite number; run again")
+    whole = set(plots.loc[plots["case"] == INTACT, "sequence"])
+    for sequence in set(plots["sequence"]) - whole:
+        found = f"no row {INTACT!r} of {sequence!r}"
+        raise ResultsError(str(path), "case", found, "some of the intact ship; run again")

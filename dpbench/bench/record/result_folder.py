@@ -16,11 +16,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Required, TypeVar, get_args
+from typing import Annotated, Any, Required, TypeVar, get_args
 
 import pandas as pd
 import pyarrow as pa
-from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
@@ -73,11 +73,14 @@ class MachineDescription(ComparedMachine, total=False):
     others: list[MachineDescription]
 
 
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
 class _Requirements(TypedDict, total=False):
-    error_move: float
-    failed_steps: int
-    p99_ms: float
-    deadline_ms: float
+    error_move: _Positive
+    failed_steps: Annotated[int, Field(ge=0)]
+    p99_ms: _Positive
+    deadline_ms: _Positive
 
 
 class _Report(TypedDict, total=False):

@@ -96,7 +96,12 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Pat
     assert found["wind_mps"].tolist() == [point.wind_mps for point in points]
     assert found["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
     assert found["edge_mps"].iloc[4] == 11.0
-    (tmp_path / "capability.parquet").write_bytes(b"nothing")
+    path = tmp_path / "capability.parquet"
+    for column, value in (("case", "bow 1"), ("edge_mps", math.nan)):
+        found.assign(**{column: value}).to_parquet(path)
+        with pytest.raises(ResultsError, match=column):
+            table.load_capability(tmp_path)
+    path.write_bytes(b"nothing")
     with pytest.raises(ResultsError, match=r"capability\.parquet"):
         table.load_capability(tmp_path)
 

@@ -94,6 +94,8 @@ def test_a_damaged_description_of_a_cell_is_one_line(
         ("suite.json", "started_utc", 2026),
         ("suite.json", "run_rows", True),
         ("suite.json", "requirements", {"p99_ms": "3"}),
+        ("suite.json", "requirements", {"p99_ms": 0}),
+        ("suite.json", "requirements", {"failed_steps": -1}),
         ("suite.json", "requirements", []),
         ("suite.json", "report", 1),
         ("suite.json", "report", {"step": "x"}),
