@@ -35,7 +35,7 @@ from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The requested rows of a campaign, in order.
+    """The runs that a campaign was asked for, one row of `runs.parquet` each, in order.
 
     A cell whose settings have no effect has rows under each of its names.
     """
@@ -52,7 +52,7 @@ class RequestedRuns:
                 self.jobs[run_id] = job, settings
 
     def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """Return one row each: a finished one, or the outcome of an unfinished one."""
+        """Return the row of each requested run; an unfinished one has only its outcome."""
         own = finished[finished.index.isin(self.jobs)]
         aliases = self.aliases(finished)
         others = [
@@ -67,7 +67,7 @@ class RequestedRuns:
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """Return the rows of cells under further names of their settings."""
+        """Return rows of finished cells again, under further names of the same settings."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
@@ -77,7 +77,7 @@ class RequestedRuns:
         )
 
     def _unfinished_row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
-        """Return the row of an unfinished cell."""
+        """Return the row of a cell without results: its description and outcome."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
@@ -85,7 +85,7 @@ class RequestedRuns:
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Return the finished runs behind rows that are to be made, by new run_id."""
+        """Return new run_id: finished run_id, of runs whose settings have another name."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()
@@ -106,7 +106,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
     `remedy` is the advice in the error.
     """
     asked = {
-        (*_selection_of(planned.cell), settings)
+        (*_selection_key(planned.cell), settings)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
@@ -126,8 +126,8 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         raise InputError("--out", "", found, remedy)
 
 
-def _selection_of(cell: Cell) -> tuple[object, ...]:
-    """Return the values of `_SELECTION_COLUMNS` of a cell, less its settings."""
+def _selection_key(cell: Cell) -> tuple[object, ...]:
+    """Return the values that identify a cell whatever its version, machine and settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
@@ -135,14 +135,14 @@ def _selection_of(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Return whether the public tables are those that `tabulate` would make."""
+    """Return whether the stored tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
     in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
     return wanted == store.public.names() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Make the public tables of a campaign; cells that were not requested stay in parts.
+    """Write `runs.parquet` and `steps.parquet` of the requested runs from all stored cells.
 
     Memory is that of two row groups, and of the rows of the runs.
 
@@ -156,7 +156,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
         aliases = wanted.aliases(finished)
-        read = _sort_steps(store, stored, sources, wanted.jobs, aliases, steps)
+        read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
@@ -169,7 +169,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     return runs, steps.rows
 
 
-def _sort_steps(
+def _split_steps(
     store: CellStore,
     runs: pa.Table,
     sources: Mapping[str, Source],
@@ -177,7 +177,7 @@ def _sort_steps(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of `wanted` runs and their aliases, and keep all others in parts.
+    """Write steps of requested runs to one file, keep all others; return the runs that were read.
 
     Returns the names of those that could be read.
     """
@@ -191,10 +191,10 @@ def _sort_steps(
             except DAMAGE:
                 continue
             steps.add(filter_runs(table, set(group.names) - set(others)))
-            store.keep(filter_rows(runs, others), table)
+            store.add_rows(filter_rows(runs, others), table)
             for new, made_of in here.items():
                 steps.add(rename_runs(table, {made_of: new}))
         read |= set(group.names)
     unasked = without_steps(runs, read.union(name for name in sources if name in wanted))
-    store.keep(unasked, FILE_SCHEMA.empty_table())
+    store.add_rows(unasked, FILE_SCHEMA.empty_table())
     return read

@@ -184,7 +184,7 @@ class Shards(Soaked):
             path.rename(path.with_name(sound))
         store = CellStore(folder)
         store.rows()
-        CellStore(folder / "gathered").adopt(store)
+        CellStore(folder / "gathered").copy_cells(store)
 
 
 class Hulls(Soaked):

@@ -377,7 +377,7 @@ class CellStore:
         )
         return [said] if said else []
 
-    def forget(self, run_ids: Iterable[str]) -> None:
+    def mark_unfinished(self, run_ids: Iterable[str]) -> None:
         """Take these cells as unfinished."""
         self._stale |= set(run_ids)
         for run_id in self._stale:
@@ -393,14 +393,14 @@ class CellStore:
         self._next, self._latest = self._next + 1, part.data
         self.finished |= part.outcomes
 
-    def keep(self, rows: pa.Table, steps: pa.Table) -> None:
+    def add_rows(self, rows: pa.Table, steps: pa.Table) -> None:
         """Store finished cells of other files; `steps` has the steps of all of them."""
         for first in range(0, len(rows), PART_CELLS):
             columns = rows.slice(first, PART_CELLS).to_pydict()
             some = filter_runs(steps, set(columns["run_id"])) if len(steps) else steps
             self.add(part_of(columns, some))
 
-    def adopt(self, other: CellStore) -> None:
+    def copy_cells(self, other: CellStore) -> None:
         """Copy the readable finished cells of another store."""
         rows, sources = other.collect()
         read: set[str] = set()
@@ -409,9 +409,9 @@ class CellStore:
                 table = group.table()
             except DAMAGE:
                 continue
-            self.keep(filter_rows(rows, group.names), table)
+            self.add_rows(filter_rows(rows, group.names), table)
             read |= set(group.names)
-        self.keep(without_steps(rows, read), FILE_SCHEMA.empty_table())
+        self.add_rows(without_steps(rows, read), FILE_SCHEMA.empty_table())
 
     def collect(self) -> tuple[pa.Table, dict[str, Source]]:
         """Return the rows of all finished cells (`RUNS_SCHEMA`), and the latest source of each."""

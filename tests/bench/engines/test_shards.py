@@ -71,7 +71,7 @@ def test_a_shard_that_was_killed_gives_what_it_finished(
     copies: list[Path], undisturbed: Path, tmp_path: Path
 ) -> None:
     killed = CellStore(copies[2])
-    CellStore(tmp_path / "parts").adopt(killed)
+    CellStore(tmp_path / "parts").copy_cells(killed)
     killed.public.remove()
     for part in (tmp_path / "parts" / "cells").iterdir():
         part.rename(killed.folder / part.name)

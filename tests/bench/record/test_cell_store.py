@@ -250,7 +250,7 @@ def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
 def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> None:
     filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
-    store.forget(["a", "b"])
+    store.mark_unfinished(["a", "b"])
     store.add(part("b", seed=9))
     assert set(store.finished) == set(store.rows().index) == {"b", "c"}
     assert sorted(names_in(store)) == ["b", "c"]
