@@ -72,7 +72,7 @@ class Campaign:
         self.attach_designs(designs, machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: check_availability(solver) for solver in solvers}
-        self.work = shard.of_jobs([self._make_job(p) for p in plan.cells])
+        self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
             self.store.mark_unfinished(RequestedRuns(self.work).jobs)
@@ -311,7 +311,7 @@ def run_campaign(
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
-    plan, some = asked.plan(), Shard.of_text(shard)
+    plan, some = asked.plan(), Shard.from_text(shard)
     designs = plan_suite_designs(plan) if some.index == 1 else []
     folder = default_folder(plan, out)
     progress = progress or Silent()

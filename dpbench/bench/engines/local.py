@@ -22,7 +22,7 @@ COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
 
 class LocalEngine(ExitStack):
-    """Runs cells on this machine, some side by side; an `Engine`.
+    """An engine that runs cells in processes on this machine, several side by side.
 
     `slots` processes run at a time, on as many cores; timed replays run one at a time.
     """
@@ -34,11 +34,11 @@ class LocalEngine(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on the places of logs."""
+        """Remarks on raw logs that had no room in the usual folder."""
         return self._scratch.remarks
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start the template of processes."""
+        """Start the fork server, open scratch folders, and check that the machine is free."""
         solvers = list_solvers(jobs)
         if uncompiled_modules(needed_modules(solvers)):
             progress.remark(COMPILING)
@@ -59,22 +59,22 @@ class LocalEngine(ExitStack):
             executor.find_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """Return one for timed replays, or enough for all cores."""
+        """Return how many batches to submit ahead: one of timed replays, else two per core."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Hand a batch to the processes of this machine."""
+        """Start or queue a batch on the cores of this machine."""
         keys = batch.source_keys if isinstance(batch, CellBatch) else []
         self._executor.submit(batch, {key: self._sources.path(key) for key in keys})
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for batches of the processes of this machine."""
+        """Wait for completed batches; yield each with its results."""
         return self._executor.completed()
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Read the file behind the QPs of a cell to its end."""
+        """Return whether the source file behind a cell's QPs can be read to its end."""
         return is_readable(cell, self._sources.path(key))
 
     def release_source(self, key: str) -> None:
-        """Remove the file."""
+        """Delete a source file that no cell needs any more."""
         self._sources.remove(key)

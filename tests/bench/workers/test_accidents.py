@@ -363,7 +363,7 @@ def test_a_damaged_source_is_made_anew(copied: Path) -> None:
 def test_a_source_damaged_after_it_was_looked_at(
     times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, left, take = copied / "out", [times], Dispatcher._take_sources
+    out, left, take = copied / "out", [times], Dispatcher._record_sources
     forget_cells(out)
 
     def damaged(self: Dispatcher, results: Sequence[Result]) -> None:
@@ -373,7 +373,7 @@ def test_a_source_damaged_after_it_was_looked_at(
         left[0] -= 1
 
     with monkeypatch.context() as patch:
-        patch.setattr(Dispatcher, "_take_sources", damaged)
+        patch.setattr(Dispatcher, "_record_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0
