@@ -40,7 +40,7 @@ _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
 def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
-    """Return the columns of the recorded steps of a cell."""
+    """Return the columns of `steps.parquet` for the recorded steps of a cell."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _answer_columns(columns, asked)
@@ -71,13 +71,13 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
 
 
 def _select_prefix(columns: Columns, prefix: str) -> Columns:
-    """Return the columns with a prefix, without it."""
+    """Return the columns whose names have a prefix, under names without it."""
     names = [name for name in columns if name.startswith(prefix)]
     return {name.removeprefix(prefix): columns[name] for name in names}
 
 
 def _backup_columns(columns: Columns) -> StepColumns:
-    """Return the columns of a backup in each step; none without one."""
+    """Return whether the backup acted or failed in each step, its time and error."""
     own = _select_prefix(columns, BACKUP_PREFIX)
     if not own:
         return {}
@@ -91,7 +91,7 @@ def _backup_columns(columns: Columns) -> StepColumns:
 
 
 def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
-    """Return the columns of answers to QPs, of the steps `asked` (K,); None for all."""
+    """Return times, status, errors and residuals of answers; empty in steps not `asked` (K,)."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
@@ -115,7 +115,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
 
 
 def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Join the columns of the two QPs of a cascade's steps, K rows each.
+    """Return the columns of a cascade's steps from those of its two QPs, K rows each.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no
@@ -140,10 +140,12 @@ def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
 
 
 def _as_integers(values: NDArray[Any]) -> Ints:
+    """Return values as int64, where everything below `MISSING_INT` becomes that."""
     return np.maximum(values.astype(np.int64), MISSING_INT)
 
 
 def _ship_columns(columns: Columns) -> StepColumns:
+    """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
@@ -155,7 +157,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
 
 
 def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """Return the time (N,) of each step, a second QP included; `MISSING_INT` without a phase."""
+    """Return each step's time (N,), a cascade's second QP included; −1 without a phase."""
     phases = [steps[phase] for phase in SOLVER_COLUMNS]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)
@@ -166,7 +168,7 @@ def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
 
 
 def row_changes(values: Floats, k: NDArray[Any]) -> Floats:
-    """Return the change (N,) against the row before; against zero at k = 0."""
+    """Return the change (N,) of a column from row to row, from zero at k = 0."""
     before = np.roll(values, 1)
     before[k == 0] = 0.0
     change: Floats = values - before
