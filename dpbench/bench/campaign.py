@@ -26,7 +26,7 @@ from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
-from dpbench.bench.plan.run_request import Plan, RunRequest, plan_remarks
+from dpbench.bench.plan.run_request import Plan, RunRequest, list_plan_limits
 from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
@@ -319,7 +319,7 @@ def run_campaign(
         open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
         lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
     ):
-        for remark in plan_remarks(plan.cells):
+        for remark in list_plan_limits(plan.cells):
             progress.remark(remark)
         campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):
@@ -328,7 +328,7 @@ def run_campaign(
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
-            record = ShardRecord(asked.from_anywhere(), some, plan.digest, opened.machine)
+            record = ShardRecord(asked.with_absolute_path(), some, plan.digest, opened.machine)
             record.write(folder)
         campaign.run(opened, progress)
     return folder

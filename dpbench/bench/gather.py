@@ -108,11 +108,11 @@ def _make_common_plan(
             found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
             raise InputError(_WHERE, "", found, "its file, if you trust it, by --solver-module")
     # The same suite may lie elsewhere on each of their machines.
-    asked = next((one.asked for one in shards.values() if one.asked.is_here), first.asked)
+    asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
-    if not asked.is_here:
+    if not asked.has_suite:
         raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
     plan = asked.plan()
     if plan.digest != first.digest:

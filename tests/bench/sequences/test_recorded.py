@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix
 from dpbench import InputError, load_results, load_scenario, run_campaign, save_sequence
 from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import RecordedTable, SuiteFile, sequence_suite
+from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.qpsolvers_files import read_folder
 from dpbench.bench.sequences.recording import record
@@ -186,7 +186,7 @@ def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> None:
-    suite = sequence_suite(folder)
+    suite = build_sequence_suite(folder)
     before = plan(suite, solvers=["daqp"])[0].cell
     assert Cell.from_json(before.to_json()).to_json() == before.to_json()
     hand_made(3.0).save(str(folder / "step_11.npz"))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.plan.suite import sequence_suite
+from dpbench.bench.plan.suite import build_sequence_suite
 from dpbench.bench.sequences.recording import record
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
@@ -82,16 +82,16 @@ def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Pat
 
 
 def test_a_way_that_cannot_be_is_not_replayed() -> None:
-    plain = sequence_suite("x.npz")
-    assert sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
+    plain = build_sequence_suite("x.npz")
+    assert build_sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
     for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
         way = {
             "worst_case_route": "native",
             "worst_case_policy": "warm",
             "worst_case_settings": "low",
         }
-        assert len(sequence_suite("x.npz", way).recorded) == 2
-        assert sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
+        assert len(build_sequence_suite("x.npz", way).recorded) == 2
+        assert build_sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
