@@ -31,7 +31,7 @@ from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import Revision, current_revision, revisions
+from dpbench.bench.record.machine import Revision, append_revision, current_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
     load_descriptions,
@@ -132,7 +132,7 @@ class Campaign:
         if result.part is None:
             return
         try:
-            self.store.add(result.part)
+            self.store.add_part(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
@@ -184,7 +184,7 @@ class Campaign:
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._request_document(),
-            "revisions": made_by or revisions(self._earlier_revisions(), current_revision()),
+            "revisions": made_by or append_revision(self._earlier_revisions(), current_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_count_lost(runs, self.designs, remarks),

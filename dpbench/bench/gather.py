@@ -139,14 +139,14 @@ def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.Da
         for folder in folders:
             stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        _refuse_mixed_versions(pd.concat([one.rows() for one in (store, *others)]))
+        _refuse_mixed_versions(pd.concat([one.finished_runs() for one in (store, *others)]))
         for other in others:
             store.copy_cells(other)
             for path in other.folder.iterdir():
                 # No link to other files.
                 if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
                     write_bytes(store.folder / path.name, path.read_bytes())
-        return store.rows(), [line for one in (store, *others) for line in one.remarks]
+        return store.finished_runs(), [line for one in (store, *others) for line in one.remarks]
 
 
 def _refuse_mixed_versions(rows: pd.DataFrame) -> None:

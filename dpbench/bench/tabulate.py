@@ -19,16 +19,16 @@ from dpbench.bench.record.cell_store import (
     Source,
     StepFile,
     filter_rows,
-    without_steps,
+    select_stepless,
 )
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import (
     DAMAGE,
     FILE_SCHEMA,
-    filter_runs,
-    frame_of_runs,
-    rename_runs,
-    table_of_runs,
+    filter_steps,
+    rename_steps,
+    runs_from_frame,
+    runs_to_frame,
 )
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
@@ -110,7 +110,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
-    rows = frame_of_runs(PublicTables(out).table())
+    rows = runs_to_frame(PublicTables(out).read_rows())
     rows = rows[rows["outcome"] != "refused"]
     values = (
         rows[list(_SELECTION_COLUMNS)]
@@ -137,8 +137,8 @@ def _selection_key(cell: Cell) -> tuple[object, ...]:
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Return whether the stored tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
-    in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
-    return wanted == store.public.names() and not set(wanted) & in_parts
+    in_parts = {name for part in store.parts for name in part.read_rows()["run_id"].to_pylist()}
+    return wanted == store.public.run_ids() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
@@ -151,8 +151,8 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     The rows of `runs.parquet`, and the number of those of `steps.parquet`.
     """
     wanted, old = RequestedRuns(work), list(store.parts)
-    stored, sources = store.collect()
-    finished = frame_of_runs(stored)
+    stored, sources = store.collect_rows()
+    finished = runs_to_frame(stored)
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
         aliases = wanted.aliases(finished)
@@ -161,11 +161,11 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
-        store.public.write(table_of_runs(runs), steps)
+        store.public.write(runs_from_frame(runs), steps)
     finally:
         steps.close()
         steps.path.unlink(missing_ok=True)
-    store.remove(old)
+    store.remove_parts(old)
     return runs, steps.rows
 
 
@@ -182,19 +182,19 @@ def _split_steps(
     Returns the names of those that could be read.
     """
     read: set[str] = set()
-    for group in store.groups(sources):
+    for group in store.find_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
         others = [name for name in group.names if name not in wanted]
-        if here or others or not steps.copy(group):
+        if here or others or not steps.copy_group(group):
             try:
-                table = group.table()
+                table = group.read_table()
             except DAMAGE:
                 continue
-            steps.add(filter_runs(table, set(group.names) - set(others)))
+            steps.add(filter_steps(table, set(group.names) - set(others)))
             store.add_rows(filter_rows(runs, others), table)
             for new, made_of in here.items():
-                steps.add(rename_runs(table, {made_of: new}))
+                steps.add(rename_steps(table, {made_of: new}))
         read |= set(group.names)
-    unasked = without_steps(runs, read.union(name for name in sources if name in wanted))
+    unasked = select_stepless(runs, read.union(name for name in sources if name in wanted))
     store.add_rows(unasked, FILE_SCHEMA.empty_table())
     return read

@@ -163,8 +163,8 @@ class Shards(Soaked):
         store = CellStore(out)
         rows = json.loads(results.runs.to_json(orient="records"))
         steps = step_batch({"k": np.arange(5)})
-        store.add(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
-        store.add(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
+        store.add_part(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
+        store.add_part(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
         about = {"id": "abc", "cpu_model": "x"}
         ShardRecord(RunRequest(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
         self.files = _contents(out, "*.*")
@@ -183,7 +183,7 @@ class Shards(Soaked):
             sound = f"{path.name[:10]}-{zlib.crc32(path.read_bytes()):08x}.parquet"
             path.rename(path.with_name(sound))
         store = CellStore(folder)
-        store.rows()
+        store.finished_runs()
         CellStore(folder / "gathered").copy_cells(store)
 
 

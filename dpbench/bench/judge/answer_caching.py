@@ -19,7 +19,7 @@ import pandas as pd
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import explained_late_timings
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
 
 FEWEST_VISITS = 20
 """First visits, each with a later one, below which the figures are NaN."""
@@ -54,7 +54,7 @@ def caching_metrics(log: RawLog) -> dict[str, float]:
     in any later round, and less what the switches of the first visits' round explain: it finds a
     memory of hard steps alone, which leaves the median as it is.
     """
-    total = step_ns(log.times)
+    total = sum_step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
     number = np.arange(steps)
     for r, group in ((1, number >= warm_up), (0, number < warm_up)):

@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, step_ns
+from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -80,7 +80,7 @@ def _replay_configuration(name: str) -> tuple[float, Disturbance]:
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)
-    return float(np.median(step_ns(log.times[1:]))), Disturbance(
+    return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,
         disturbed=float(slowed.sum()),
         rerun=0.0,

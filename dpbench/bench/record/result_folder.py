@@ -33,7 +33,7 @@ from dpbench.bench.record.recorded_steps import (
     wrong_type_error,
 )
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX, as_steps
-from dpbench.bench.record.step_table import complete_runs, frame_of_runs
+from dpbench.bench.record.step_table import complete_runs, runs_to_frame
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import decode_words, open_table
@@ -47,7 +47,7 @@ _OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
 class ComparedMachine(TypedDict, total=False):
-    """Properties that make times of two machines comparable."""
+    """Entries of `machine.json` that must be equal for times to be comparable."""
 
     cpu_model: str
     cores: int
@@ -59,7 +59,7 @@ class ComparedMachine(TypedDict, total=False):
 
 @with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
-    """`machine.json`; `others` are machines whose cells were gathered too."""
+    """Content of `machine.json`; `others` are further machines of gathered cells."""
 
     id: Required[str]
     governor: str
@@ -74,6 +74,8 @@ class MachineDescription(ComparedMachine, total=False):
 
 
 class _Requirements(TypedDict, total=False):
+    """The table `requirements` of `suite.json`."""
+
     error_move: float
     failed_steps: int
     p99_ms: float
@@ -81,13 +83,15 @@ class _Requirements(TypedDict, total=False):
 
 
 class _Report(TypedDict, total=False):
+    """The table `report` of `suite.json`."""
+
     baseline: str | None
     step: int | None
     configuration: str | None
 
 
 class StudyDescription(TypedDict, total=False):
-    """A `[[study]]` of `suite.json`."""
+    """A `[[study]]` table of `suite.json`."""
 
     base: Required[str]
     name: str | None
@@ -95,7 +99,7 @@ class StudyDescription(TypedDict, total=False):
 
 
 class RevisionDescription(TypedDict):
-    """A revision of dpbench."""
+    """A git revision of dpbench in `suite.json`."""
 
     commit: str
     clean: bool
@@ -103,7 +107,7 @@ class RevisionDescription(TypedDict):
 
 @with_config(_OPEN)
 class SuiteDescription(TypedDict, total=False):
-    """`suite.json`."""
+    """Content of `suite.json`."""
 
     name: str
     title: str
@@ -122,7 +126,7 @@ class SuiteDescription(TypedDict, total=False):
 
 
 def parse_document(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
-    """Return the document of a file as a type; ResultsError, naming the key, for other types."""
+    """Return a JSON object checked as a type; ResultsError, naming the key, for a mismatch."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
         checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
@@ -149,8 +153,8 @@ _LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, 
 
 
 def check_runs(runs: pd.DataFrame, path: Path) -> None:
-    """Refuse rows that no campaign writes; ResultsError, naming the column and the row from 0."""
-    for column, is_bad, allowed in _rules(runs):
+    """Raise ResultsError, naming column and row, for rows that no campaign writes."""
+    for column, is_bad, allowed in _run_rules(runs):
         if is_bad.any():
             row = int(is_bad.to_numpy().argmax())
             value = runs[column].iloc[row]
@@ -158,8 +162,8 @@ def check_runs(runs: pd.DataFrame, path: Path) -> None:
             raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
 
 
-def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
-    """Yield column, rows that break its rule, and the rule."""
+def _run_rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+    """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
     for column, words in _WORDS.items():
         yield column, ~runs[column].isin(words), " | ".join(words)
     for column, least in _LEAST.items():
@@ -174,7 +178,7 @@ def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A result folder; columns as in `schema.py`.
+    """A result folder: its runs, steps, machine and suite.
 
     Parameters
     ----------
@@ -189,7 +193,7 @@ class Results:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps in memory, some 500 bytes each; use `recorded` for large folders."""
+        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
         return self.recorded.frame()
 
 
@@ -199,7 +203,7 @@ def lock_result_folder(
     suite: str,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
-    """Lock a result folder for one campaign of `suite`, and make it where it is missing.
+    """Lock a result folder for one campaign of `suite`; make it where it is missing.
 
     A report that is being written there is waited for with `patience`.
 
@@ -239,7 +243,7 @@ def lock_result_folder(
 
 @contextmanager
 def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterator[None]:  # noqa: B008 - frozen
-    """Lock a folder against other campaigns and reports; a wait is reported on stderr.
+    """Lock a result folder against other campaigns and reports, after waiting for them.
 
     A missing folder, or one on a disk without locks, is not locked.
 
@@ -257,7 +261,7 @@ def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterato
 
 
 def write_json(path: Path, document: Mapping[str, object]) -> None:
-    """Write `document` to `path`, whole or not at all."""
+    """Write a JSON file, whole or not at all."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
@@ -274,7 +278,7 @@ def read_accidents(out: Path) -> tuple[int, list[str]]:
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read the runs of a result folder; its steps are read on request.
+    """Return the results in a folder; its steps are read only on request.
 
     Parameters
     ----------
@@ -301,18 +305,19 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 
 
 def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
-    """Return `machine.json` and `suite.json`; ResultsError, naming the file, for damage."""
+    """Return `machine.json` and `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "machine.json"
     return parse_document(read_json(path), MachineDescription, path), read_suite(folder)
 
 
 def read_suite(folder: Path) -> SuiteDescription:
-    """Return `suite.json`; ResultsError, naming file and key, where it is damaged."""
+    """Return `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "suite.json"
     return parse_document(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
+    """Return `runs.parquet` of a result folder, checked; ResultsError if damaged."""
     path = folder / "runs.parquet"
     with table_errors(path), open_table(path, error=ResultsError) as file:
         table = decode_words(file.read(), path, error=ResultsError)
@@ -324,7 +329,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = frame_of_runs(complete_runs(table)).reset_index(drop=True)
+        runs = runs_to_frame(complete_runs(table)).reset_index(drop=True)
         keys = [name for name in table.column_names if name.startswith(STUDY_PREFIX)]
         runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
@@ -338,12 +343,12 @@ def _read_runs(folder: Path) -> pd.DataFrame:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object of a file; ResultsError, naming the file, where there is none."""
+    """Return the JSON object in a file; ResultsError, naming the file, without one."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Return the SHA-256 of those files of a folder that exist, by name."""
+    """Return name: SHA-256 of those files of a folder that exist."""
     found = {}
     for name in names:
         if (folder / name).is_file():

@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, step_ns
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, sum_step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
@@ -116,7 +116,7 @@ class MemoryWatch:
 
     def record_load(self, log: RawLog) -> None:
         """Mark that QPs and log are in memory; touch the pages of the log."""
-        log.touch()
+        log.touch_pages()
         self._harness += _read_status("VmRSS")
 
     def peak_bytes(self) -> float:
@@ -159,7 +159,7 @@ def heap_bytes() -> float:
 
 def affordable_steps(log: RawLog) -> int:
     """Return how many steps all passes can take within `LIMIT_NS`."""
-    slowest = step_ns(log.times).max()
+    slowest = sum_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import read_counters
-from dpbench.bench.record.raw_log import RawLog, spent_ns
+from dpbench.bench.record.raw_log import RawLog, sum_phases_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
@@ -152,7 +152,7 @@ class ReplayRun:
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = spent_ns(solver.phases_ns)
+                log.first_ns[k] = sum_phases_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - start_ns > limit_ns:

@@ -23,7 +23,7 @@ import numpy as np
 
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
-from dpbench.bench.record.raw_log import spent_ns
+from dpbench.bench.record.raw_log import sum_phases_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
@@ -186,7 +186,7 @@ class SlowComputer:
         switches, used_ns = self._usage()
         solution = solver.answer(step)
         switches_after, used_after_ns = self._usage()
-        step_ns = spent_ns(solver.phases_ns)
+        step_ns = sum_phases_ns(solver.phases_ns)
         if solver.repeated:
             recorded_ns = int(self._recorded_ns[self._k])
             # The step that hung has none yet; it took its whole limit.

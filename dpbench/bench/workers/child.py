@@ -23,7 +23,7 @@ from typing import Any
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
-from dpbench.bench.record.raw_log import RawLog, is_whole
+from dpbench.bench.record.raw_log import RawLog, is_writable_log
 from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.interrupts import block_sigint
@@ -290,7 +290,7 @@ class Child:
         code = self.process.exitcode or 0
         if -code == signal.SIGKILL and self._memory_ran_out():
             return Outcome("lost", _BY_MEMORY)
-        if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
+        if -code == signal.SIGBUS and self.raw_path.exists() and not is_writable_log(self.raw_path):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
             return Outcome("crashed", self._describe_end(code))

@@ -16,7 +16,7 @@ from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import StepFile
 from dpbench.bench.record.recorded_steps import StepsInMemory, StepsOnDisk, StepTable
 from dpbench.bench.record.schema import MISSING_INT, STEP_COLUMNS
-from dpbench.bench.record.step_table import concat_runs, step_batch
+from dpbench.bench.record.step_table import concat_steps, step_batch
 from dpbench.errors import ResultsError
 from tests.bench.record.test_cell_store import steps_of
 
@@ -30,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 14)
     file = StepFile(tmp_path / "steps.parquet")
     for seed, name in enumerate(NAMES):
-        file.add(concat_runs({name: step_batch(steps_of(seed))}))
+        file.add(concat_steps({name: step_batch(steps_of(seed))}))
     file.close()
     return tmp_path
 

@@ -21,7 +21,7 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
+from dpbench.bench.record.raw_log import RawLog, is_writable_log, replay_layout
 from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import is_readable, source_file
@@ -455,7 +455,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
 def test_without_room_for_its_part_a_cell_is_lost(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, add = tmp_path / "out", CellStore.add
+    out, add = tmp_path / "out", CellStore.add_part
 
     def full(self: CellStore, part: BatchPart) -> None:
         refused.add(part.data)
@@ -465,7 +465,7 @@ def test_without_room_for_its_part_a_cell_is_lost(
 
     refused: set[bytes] = set()
     with monkeypatch.context() as patch:
-        patch.setattr(CellStore, "add", full)
+        patch.setattr(CellStore, "add_part", full)
         assert run(suite, out) == 1
     runs = load_results(out).runs
     assert sorted(runs["outcome"]) == ["finished", "finished", "lost"]
@@ -477,9 +477,9 @@ def test_a_log_has_its_room_or_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.raw"
     RawLog.create(path, replay_layout(1, 50, 3, 3))
     size = path.stat().st_size
-    assert 512 * path.stat().st_blocks >= size and is_whole(path)
+    assert 512 * path.stat().st_blocks >= size and is_writable_log(path)
     os.truncate(path, size - 1)
-    assert not is_whole(path)
+    assert not is_writable_log(path)
     with pytest.raises(OSError, match=r"."):
         RawLog.create(
             tmp_path / "b.raw", replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}

@@ -68,8 +68,8 @@ def undisturbed(suite: Path) -> Path:
 @pytest.mark.parametrize(
     ("moment", "finished"),
     [
-        ("CellStore.add:1", 1),
-        ("CellStore.add:5", 5),
+        ("CellStore.add_part:1", 1),
+        ("CellStore.add_part:5", 5),
         # The public steps are written, and in no place yet; the parts are.
         ("StepFile.close:1", CELLS),
         # The public steps are in their place, without their runs.
