@@ -76,7 +76,7 @@ def _replay_configuration(name: str) -> tuple[float, Disturbance]:
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
     )
-    replaying.rounds()
+    replaying.run_all_rounds()
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)

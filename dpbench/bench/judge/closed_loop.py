@@ -262,8 +262,8 @@ def _allocation_columns(
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         recorded = k, log.demand, log.thrust
-        step = scaled.allocate_again(*recorded)
-        return step, step if own is scaled else own.allocate_again(*recorded)
+        step = scaled.rebuild_allocation(*recorded)
+        return step, step if own is scaled else own.rebuild_allocation(*recorded)
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))

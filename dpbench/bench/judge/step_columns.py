@@ -63,7 +63,7 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     if "backup" in steps:
         waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
     steps |= deadline_columns(delay, columns["latency_ns"], waited_ns)
-    if "backup" in steps and delay.simulated:
+    if "backup" in steps and delay.is_simulated:
         ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns

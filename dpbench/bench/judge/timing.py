@@ -116,7 +116,7 @@ def deadline_columns(
     ----------
     latency_ns : (K,) of the slow computer; total_ns : (K,) measured times.
     """
-    if not delay.simulated:
+    if not delay.is_simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
     late = idle | (latency_ns > delay.budget_ns)

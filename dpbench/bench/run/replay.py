@@ -40,6 +40,7 @@ _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
 def _increment(value: int) -> int:
+    """Return `value` + 1, as a Python call of the load kernel."""
     return value + 1
 
 
@@ -60,8 +61,8 @@ def _load_kernel() -> None:
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """Return the smallest time of the reference kernel; fill `load_kernel_ns` [ns]."""
+def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
+    """Return the shortest time of the reference kernel [ns]; write those of the load kernel."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()
@@ -75,7 +76,7 @@ def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> i
 
 
 class ReplayRun:
-    """One solver replaying one sequence.
+    """Replays one sequence of QPs with one solver, round by round.
 
     Parameters
     ----------
@@ -107,13 +108,13 @@ class ReplayRun:
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
 
-    def rounds(self) -> None:
+    def run_all_rounds(self) -> None:
         """Replay the warm-up and every round that the log has room for."""
         for r in range(len(self._log.done)):
-            self.round(r)
+            self.run_round(r)
 
     def _warm_caches(self, steps: int) -> None:
-        """Solve the first `preroll` of so many steps, and forget them."""
+        """Solve the first steps of a round once without a record, to warm caches."""
         log, solver = self._log, self._solver
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
@@ -123,8 +124,8 @@ class ReplayRun:
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()
 
-    def round(self, r: int) -> bool:
-        """Replay round r into its rows; return False when the time limit stopped it.
+    def run_round(self, r: int) -> bool:
+        """Replay round r into the log; return False when the time limit stopped it.
 
         The worker slept on its pipe until now, so the first steps are solved once before, to warm
         caches.
@@ -139,14 +140,16 @@ class ReplayRun:
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = read_counters()
-        log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
+        log.reference_kernel_ns[r, 0] = time_kernels(clock, log.load_kernel_ns[r, 0])
         start_ns = clock()
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
         for k in range(begin, steps):
             step = solver.formulate(sequence.step(k))
             is_skipped = hung and k in hung
-            solution = solver.missing(self._limit_ns) if is_skipped else solver.answer(step)
+            solution = (
+                solver.answer_hung_step(self._limit_ns) if is_skipped else solver.answer(step)
+            )
             record_answer(log, r, k, solution, solver.waited_ns)
             if not is_usable(solution):
                 solver.reset()
@@ -158,7 +161,7 @@ class ReplayRun:
             if clock() - start_ns > limit_ns:
                 return False
         self._spent_ns[r] = clock() - start_ns
-        log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
+        log.reference_kernel_ns[r, 1] = time_kernels(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
         np.subtract(read_counters(), before, out=log.counters[r])

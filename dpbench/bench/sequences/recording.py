@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.exact_loop import Part, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
@@ -54,7 +54,7 @@ def record(
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
-    sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
+    sequence = rebuild_sequence(scenario, solve_exactly(scenario), part=part)
     meta = sequence.meta | scenario.problem.horizons
     sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")

@@ -24,7 +24,12 @@ from dpbench.bench.record.cell import (
 )
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
-from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import (
+    ExactLoop,
+    read_allocation_sizes,
+    rebuild_sequence,
+    solve_exactly,
+)
 from dpbench.bench.sequences.capability_boundary import make_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     commanded_thruster_rows,
@@ -80,7 +85,7 @@ def log_size(cell: Cell, path: Path) -> int:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
-            second = allocation_sizes(stored)
+            second = read_allocation_sizes(stored)
             return log_bytes(
                 loop_layout(cell.steps, n, m, n_theta, n_f, second, backup=bool(cell.backup))
             )
@@ -102,7 +107,9 @@ class _Loop:
         first = cell.first
         if cell.is_window:
             first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
-        sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
+        sequence = rebuild_sequence(
+            scenario, exact, units=cell.units, first=first, count=cell.steps
+        )
         optima = exact.optima[first : first + cell.steps]
         return ReplayInput(sequence, scenario.sample_s, optima)
 

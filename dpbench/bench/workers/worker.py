@@ -30,17 +30,17 @@ from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, stored_weather
+from dpbench.bench.run.exact_loop import ExactLoop, read_stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
-    affordable_steps,
-    forget_peak,
+    count_affordable_steps,
+    count_threads,
     limit_memory,
-    measure_steps,
-    memory_bytes,
+    machine_memory_bytes,
+    measure_step_memory,
     process_peak_bytes,
-    threads,
+    reset_peak_memory,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, step_alarm
@@ -140,12 +140,12 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
     """Settle the process and open the cell's solver; InputError where that is refused."""
     if settled:
         begin_output()
-        forget_peak()
+        reset_peak_memory()
     else:
         disable_gc_and_warnings()
     set_phase(Phase.OPENING)
     if not settled:
-        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
+        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes()))
         if cell.solver_module:
             load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver, *filter(None, [cell.backup]))
@@ -214,7 +214,7 @@ def _run_closed_loop(
     except InputError as error:
         return Outcome("refused", str(error))
     with open_arrays(source) as stored:
-        setup.drawn = stored_weather(stored)
+        setup.drawn = read_stored_weather(stored)
     before = read_counters()
     set_phase(Phase.SOLVER)
     with step_alarm(STEP_SHARE * cell.limit_s, clock):
@@ -236,7 +236,7 @@ def _replay_untimed(
     )
     begin = hung[-1][0] if hung else 0
     with step_alarm(STEP_SHARE * cell.limit_s, clock):
-        complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
+        complete = all(configuration.run_round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
     return _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
 
@@ -285,7 +285,7 @@ def serve_replays(core: int, orders: Connection) -> None:
     while (order := orders.recv()) is not None:
         os.sched_setaffinity(0, anywhere)
         if settled:
-            memory.begin_again()
+            memory.begin_replay()
         if not _serve_replay(order, core, orders, memory, settled=settled):
             orders.send(None)
             return
@@ -316,18 +316,18 @@ def _serve_replay(
     complete = True
     while (r := orders.recv()) is not None:
         with step_alarm(STEP_SHARE * cell.limit_s, clock):
-            complete = configuration.round(r)
+            complete = configuration.run_round(r)
         orders.send(complete)
     set_phase(Phase.HARNESS)
-    log.footprint[:3] = (memory.peak_bytes(), *threads())
+    log.footprint[:3] = (memory.peak_bytes(), *count_threads())
     verdict = _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
     write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
-        steps = affordable_steps(log)
+        steps = count_affordable_steps(log)
         set_phase(Phase.SOLVER)
-        log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
+        log.footprint[3:] = measure_step_memory(configuration.sequence, timed_solver, steps)
         set_phase(Phase.HARNESS)
     return True
 
@@ -380,7 +380,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
         workspace = _open_workspace(cell, settled=True)
         configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
-        complete = all(configuration.round(r) for r in range(cell.rounds + 1))
+        complete = all(configuration.run_round(r) for r in range(cell.rounds + 1))
         set_phase(Phase.HARNESS)
         orders.send(complete)
         del workspace, configuration

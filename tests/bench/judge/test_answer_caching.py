@@ -198,7 +198,7 @@ def replayed(
     for r, times in enumerate(attempts):
         for attempt in range(times):
             clock.speed = 5.0 if r == slow_round and attempt == 0 else 1.0
-            assert configuration.round(r)
+            assert configuration.run_round(r)
     return log
 
 

@@ -144,5 +144,5 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
     delay = find_delay(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
-    assert delay.samples_late(latency_ns) == samples
+    assert delay.count_samples_late(latency_ns) == samples
     assert delay.latency_ns(50) == 150
