@@ -100,7 +100,7 @@ def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
 
 
 def test_threads_are_counted() -> None:
-    running, allowed = footprint.threads()
+    running, allowed = footprint.count_threads()
     assert running >= 1 and allowed >= 1
 
 
