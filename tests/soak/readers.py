@@ -22,7 +22,7 @@ from dpbench.bench.record.recorded_steps import ALL_COLUMNS
 from dpbench.bench.record.result_folder import load_results, read_accidents
 from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.shipped import stored_rules
+from dpbench.bench.sequences.shipped import load_rules
 from dpbench.report.report import Report
 from dpbench.scenario.hull_files import read_mss, read_table
 from dpbench.scenario.problem_files import problems_root
@@ -80,7 +80,7 @@ class Toml(Soaked):
         elif name.startswith("scenarios"):
             load_scenario(path)
         elif name.startswith("sequences"):
-            stored_rules(path)
+            load_rules(path)
         else:
             path, suite = load_suite(path)
             if rng.random() < 0.2:

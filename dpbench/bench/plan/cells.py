@@ -33,7 +33,7 @@ from dpbench.bench.record.cell import (
     RecordedSource,
 )
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.sequences.recording import read_sequence, source_digest
+from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import positive_definite
@@ -160,7 +160,7 @@ def recorded_cells(
         path = sequence_path(table.sequence, beside)
         # Another installation has a stored sequence in another folder.
         origin = table.sequence if is_stored(table.sequence) else str(path)
-        sha256, sequence = source_digest(path), read_sequence(path).sequence
+        sha256, sequence = hash_sequence_files(path), read_sequence(path).sequence
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"

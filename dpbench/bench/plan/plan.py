@@ -23,7 +23,7 @@ from dpbench.bench.plan.configurations import (
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
-from dpbench.bench.sequences.loop_sequences import commanded_thruster_rows
+from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.horizons import Horizons
@@ -215,7 +215,7 @@ def _consequence_cells(
     steps: int,
 ) -> list[PlannedCell]:
     """Return the consequence-analysis cells of each failure group of a scenario's ship."""
-    thrusters, _ = commanded_thruster_rows(scenario)
+    thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")

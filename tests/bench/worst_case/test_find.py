@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.plan.suite import build_sequence_suite
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
@@ -98,7 +98,7 @@ def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
-    again = record(build_scenario(saved.documents))
+    again = record_scenario(build_scenario(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
         np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))
