@@ -26,7 +26,7 @@ from distributed.security import Security
 from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.workers.child import hidden_main_module
+from dpbench.bench.workers.child import hide_main_module
 from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
@@ -161,7 +161,7 @@ def _open_own_cluster(workers: int) -> Iterator[Client]:
     """Start scheduler and workers of a Dask cluster on this machine; yield its client."""
     with (
         _silence_dask(),
-        hidden_main_module(),
+        hide_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,

@@ -23,12 +23,12 @@ from dpbench.bench.workers.jobs import (
     Kind,
     Result,
     Target,
-    batch_seconds,
-    cell_batches,
     cell_label,
+    choose_batch_seconds,
     count_steps,
     cut_into_groups,
     group_by_source,
+    split_into_batches,
 )
 from dpbench.bench.workers.worker import make_source
 
@@ -61,7 +61,7 @@ class Dispatcher:
         for kind, alike in _split_by_kind(jobs):
             self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
-            self._waiting.extend(cell_batches(kind, alike, self._engine.slots))
+            self._waiting.extend(split_into_batches(kind, alike, self._engine.slots))
             for batch, results in self._complete_batches():
                 if isinstance(batch, CellBatch):
                     yield from self._filter_results(batch, results)
@@ -126,7 +126,7 @@ class Dispatcher:
     def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
         """Yield batches that make sources, each long enough for the longest cell that uses it."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
-        size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
+        size_s = choose_batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):
             cells = {self._sources.path(key): longest_cell(self._of_key[key]) for key in group}
             texts = {path: cell.to_json() for path, cell in cells.items()}

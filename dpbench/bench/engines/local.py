@@ -12,7 +12,11 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import needed_modules, template_context, uncompiled_modules
+from dpbench.bench.workers.child import (
+    list_kernel_modules,
+    list_uncompiled_modules,
+    start_forkserver,
+)
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
 from dpbench.bench.workers.scratch import Scratch
@@ -40,12 +44,12 @@ class LocalEngine(ExitStack):
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the fork server, open scratch folders, and check that the machine is free."""
         solvers = list_solvers(jobs)
-        if uncompiled_modules(needed_modules(solvers)):
+        if list_uncompiled_modules(list_kernel_modules(solvers)):
             progress.remark(COMPILING)
         self._sources = sources
         self._scratch = self.enter_context(Scratch(sources.folder))
         executor = CellExecutor(
-            template_context(solvers),
+            start_forkserver(solvers),
             self._scratch,
             sorted(os.sched_getaffinity(0)),
             self.slots,
@@ -56,7 +60,7 @@ class LocalEngine(ExitStack):
         )
         self._executor = self.enter_context(executor)
         if jobs:
-            executor.find_machine_free(times=any(job.cell.is_timed for job in jobs))
+            executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
         """Return how many batches to submit ahead: one of timed replays, else two per core."""
@@ -69,7 +73,7 @@ class LocalEngine(ExitStack):
 
     def completed(self) -> Iterator[Completed]:
         """Wait for completed batches; yield each with its results."""
-        return self._executor.completed()
+        return self._executor.wait_for_batches()
 
     def has_source(self, key: str, cell: Cell) -> bool:
         """Return whether the source file behind a cell's QPs can be read to its end."""

@@ -22,7 +22,7 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import MachineDescription
-from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
 from dpbench.bench.workers.leases import lease_core
@@ -168,7 +168,7 @@ def _run_batch(
 ) -> Sequence[Result]:
     """Run one batch on an executor and return its results."""
     executor.submit(batch, sources)
-    ((_, results),) = executor.completed()
+    ((_, results),) = executor.wait_for_batches()
     return results
 
 
@@ -194,7 +194,7 @@ def _find_library_identity(solver: str) -> str:
 @cache
 def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
     """Return this worker's fork-server context, made once for each set of solvers."""
-    return template_context(solvers)
+    return start_forkserver(solvers)
 
 
 @contextmanager

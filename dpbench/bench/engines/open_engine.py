@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
-from dpbench.bench.workers.leases import lease_folder
+from dpbench.bench.workers.leases import open_lease_folder
 from dpbench.errors import InputError
 from dpbench.locks import WaitLimit
 
@@ -46,7 +46,7 @@ def open_engine(
         raise InputError("--jobs", "", found, allowed)
     slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
-    lease_folder()
+    open_lease_folder()
     if name == "local":
         return LocalEngine(slots, patience)
     if patience != WaitLimit():

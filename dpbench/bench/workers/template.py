@@ -27,7 +27,8 @@ from dpbench.ship.vessel import Vessel
 __all__ = ["worker"]
 
 
-def _prime() -> None:
+def _compile_kernels() -> None:
+    """Run every compiled kernel once, so that forked workers need not compile."""
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     for loads, columns in ((None, 3), (np.zeros(6), 9)):
@@ -43,7 +44,7 @@ def _prime() -> None:
     certify(QuadraticProgram(np.eye(3), -2.0 * three, *rows, -three, three))
 
 
-_prime()
+_compile_kernels()
 # A collection in a fork would walk, and thereby copy, the whole heap: 0.2 s of every process.
 gc.collect()
 gc.freeze()

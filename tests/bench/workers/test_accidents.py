@@ -212,11 +212,11 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
     child = supervise.ServingChild(
-        supervise.template_context([]), print, ("bye",), tmp_path, "a", limit_s=1.0
+        supervise.start_forkserver([]), print, ("bye",), tmp_path, "a", limit_s=1.0
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)
-    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).serve(worker, 1)
+    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).run_round(worker, 1)
     assert not worker.serving
 
 
@@ -432,7 +432,7 @@ def test_parts_damaged_while_the_campaign_runs_are_lost(
 
 
 def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, where = copied / "out", scratch.Scratch.folder
+    out, where = copied / "out", scratch.Scratch.choose_folder
     failing = load_results(out).runs["run_id"].iloc[[0, 2]]
     forget_cells(out)
 
@@ -443,7 +443,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
         return folder
 
     with monkeypatch.context() as patch:
-        patch.setattr(scratch.Scratch, "folder", spoilt)
+        patch.setattr(scratch.Scratch, "choose_folder", spoilt)
         assert run(copied / "tiny.toml", out) == 2
     assert outcomes(out) == ["lost", "finished", "lost"]
     details = load_results(out).runs["outcome_detail"]
