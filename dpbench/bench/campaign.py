@@ -50,12 +50,7 @@ from dpbench.solvers.table import check_availability
 
 
 class Campaign:
-    """One run of a suite's cells into a result folder, which can be interrupted and continued.
-
-    Parameters
-    ----------
-    machine : the one that cells run on, as `describe_machine` describes it.
-    """
+    """One run of a suite's cells into a result folder, which can be interrupted and continued."""
 
     def __init__(
         self,

@@ -137,12 +137,7 @@ class Design:
 
 
 def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Return a design for every controller of a table in every vessel.
-
-    Raises
-    ------
-    InputError : for an unknown or a bad file, or two of one name.
-    """
+    """Return each controller of a table in each vessel; InputError for a bad or repeated file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
     given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
@@ -197,10 +192,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
 
 
 def find_bracket(holds: Callable[[float], bool]) -> Bracket:
-    """Return between which sway offsets recovery stops: double until it fails, then bisect.
-
-    It is not narrowed when the smallest offset is not held.
-    """
+    """Return between which sway offsets recovery stops: double until it fails, then bisect."""
     held = 0.0
     for offset in OFFSETS_M:
         if not holds(offset):
@@ -337,12 +329,7 @@ def _read_record(path: Path) -> DesignRecord | None:
 
 
 def load_designs(folder: Path) -> Designs | None:
-    """Return `design.json` of a result folder; None where it is missing or of an older schema.
-
-    Raises
-    ------
-    ResultsError : naming file and key, when it is damaged.
-    """
+    """Return `design.json` of a result folder, None without it or if older; ResultsError if bad."""
     path = folder / DESIGN_FILE
     if not path.exists():
         return None

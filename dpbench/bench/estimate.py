@@ -140,7 +140,8 @@ def read_rates(folder: Path) -> Rates:
     try:
         runs = load_results(folder, without_steps=True).runs
         tables = [folder / f"{name}.parquet" for name in ("runs", "steps")]
-        run_bytes, step_bytes = map(_bytes_per_row, tables)
+        rows = [max(1, int(pq.read_metadata(path).num_rows)) for path in tables]
+        run_bytes, step_bytes = (p.stat().st_size / n for p, n in zip(tables, rows, strict=True))
     except (ResultsError, OSError):
         return STATED_RATES
     runs = runs[runs["replay_s"].notna()]
@@ -152,11 +153,6 @@ def read_rates(folder: Path) -> Rates:
     return Rates(f"the runs in {folder}", steps_s, step_bytes, run_bytes)
 
 
-def _bytes_per_row(path: Path) -> float:
-    """Return the size of a Parquet file divided by its number of rows [B]."""
-    return path.stat().st_size / max(1, int(pq.read_metadata(path).num_rows))
-
-
 def estimate_campaign(
     suite: str | Path | None = None,
     out: str | Path | None = None,
@@ -165,12 +161,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Return the expected time and size of a campaign without running it.
-
-    Raises
-    ------
-    InputError : as there, and for another engine than that of this machine.
-    """
+    """Return the expected time and size of a campaign on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()

@@ -101,10 +101,7 @@ _SELECTION_COLUMNS = (
 
 
 def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
-    """Raise InputError where `out` has finished runs other than `cells`.
-
-    `remedy` is the advice in the error.
-    """
+    """Raise InputError where `out` has finished runs other than `cells`."""
     asked = {
         (*_selection_key(planned.cell), settings)
         for planned in cells
@@ -142,14 +139,7 @@ def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Write `runs.parquet` and `steps.parquet` of the requested runs from all stored cells.
-
-    Memory is that of two row groups, and of the rows of the runs.
-
-    Returns
-    -------
-    The rows of `runs.parquet`, and the number of those of `steps.parquet`.
-    """
+    """Write a campaign's `runs.parquet` and `steps.parquet`; return runs and number of steps."""
     wanted, old = RequestedRuns(work), list(store.parts)
     stored, sources = store.collect_rows()
     finished = runs_to_frame(stored)
@@ -177,10 +167,7 @@ def _split_steps(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write steps of requested runs to one file, keep all others; return the runs that were read.
-
-    Returns the names of those that could be read.
-    """
+    """Write the steps of requested runs to one file, keep all others; return the runs read."""
     read: set[str] = set()
     for group in store.find_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}

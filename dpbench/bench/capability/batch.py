@@ -63,10 +63,7 @@ def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
 
 
 def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
-    """Return the static allocation QP of each capability point, in their order.
-
-    P is constant; rows change with the pieces that are chosen.
-    """
+    """Return the static allocation QP of each capability point, in their order."""
     assert frontier.sides is not None, "a QP has polygons"
     allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
     problems = []

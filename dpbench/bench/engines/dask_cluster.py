@@ -75,12 +75,7 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
 
 @contextmanager
 def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """Connect a client to a Dask scheduler; InputError where none answers or it refuses.
-
-    Parameters
-    ----------
-    tls : by default as in Dask's configuration.
-    """
+    """Connect a client to a Dask scheduler; InputError where none answers or it refuses."""
     with _silence_dask():
         security = Security() if tls is None else _build_security(address, tls)
         try:

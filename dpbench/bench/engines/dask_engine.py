@@ -68,10 +68,7 @@ def open_dask_engine(
 
 
 class DaskEngine(ExitStack):
-    """An engine that runs batches of cells as tasks on the workers of a Dask cluster.
-
-    `workers` are started on this machine, unless it is connected to others.
-    """
+    """An engine that runs batches of cells as tasks on the workers of a Dask cluster."""
 
     def __init__(self, workers: int) -> None:
         super().__init__()

@@ -109,7 +109,8 @@ class Dispatcher:
             return
         limit, keys = SOURCE_STEPS * self._engine.slots, list[str]()
         while self._waiting:
-            new = [key for key in self._waiting[0].source_keys if self._is_unrequested(key)]
+            known = self._made | self._being_made | self._failed.keys()
+            new = [key for key in self._waiting[0].source_keys if key not in known]
             others = self._ready or self._in_flight or self._blocked
             if new and others and sum(self._open_steps.values()) >= limit:
                 break
@@ -118,10 +119,6 @@ class Dispatcher:
             self._open_steps |= {key: longest_cell(self._of_key[key]).last_step for key in new}
             keys += new
         self._ready.extend(self._batch_sources(keys))
-
-    def _is_unrequested(self, key: str) -> bool:
-        """Return whether a source was not made, is not being made and has not failed."""
-        return not (key in self._made or key in self._being_made or key in self._failed)
 
     def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
         """Yield batches that make sources, each long enough for the longest cell that uses it."""
@@ -173,10 +170,7 @@ class Dispatcher:
                 self._failed[key] = result.outcome
 
     def _filter_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
-        """Yield the results of a batch; cells lost with a damaged source are queued again instead.
-
-        These run once more, from a new source.
-        """
+        """Yield the results of a batch; cells lost with a bad source are queued again instead."""
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[result.run_id] for result in results if result.is_lost]
         again = {job.run_id: job for job in lost if self._has_damaged_source(job)}
@@ -223,10 +217,7 @@ class Dispatcher:
         return []
 
     def _hand_over_again(self) -> Iterator[Completed]:
-        """Queue again all batches that the engine dropped; isolate those dropped too often.
-
-        A batch dropped `MOST_ATTEMPTS` times may be the cause.
-        """
+        """Queue again all batches that the engine dropped; isolate those dropped too often."""
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
         ready, self._ready = self._ready, deque()

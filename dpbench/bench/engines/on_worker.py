@@ -34,10 +34,7 @@ from dpbench.temporary_folders import temporary_folder
 
 @dataclass(frozen=True)
 class WorkerInfo:
-    """Version, machine and rights of a cluster worker, which a campaign checks first.
-
-    `may_start` tells whether it may start processes, as a daemon may not.
-    """
+    """Version, machine and rights of a cluster worker, which a campaign checks first."""
 
     harness_version: str
     may_start: bool

@@ -65,9 +65,8 @@ class Shard:
     def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
         """Return the jobs of this shard, in order; parts have about equal work on every machine.
 
-        Parts are of about the same work. Each makes the sources of its own cells, so that cells of
-        one source stay together as far as possible; replays of one sequence always do, as they are
-        timed by turns.
+        Cells of one source stay together as far as possible, as each part makes its own sources;
+        replays of one sequence always do, as they are timed by turns.
         """
         if self == WHOLE:
             return jobs

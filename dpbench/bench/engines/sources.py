@@ -12,9 +12,7 @@ _SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
 class SourceFiles:
     """The source files of one campaign, from which workers read QPs.
 
-    Parameters
-    ----------
-    folder : where they lie; kept : keys of those that hold what the result folder shows.
+    `kept` are the keys of files that the result folder needs at the end of the campaign.
     """
 
     def __init__(self, folder: Path, kept: Collection[str] = ()) -> None:

@@ -38,12 +38,7 @@ def run_row(
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """Return the row of `runs.parquet` of one cell; without steps only what identifies the cell.
-
-    Parameters
-    ----------
-    concurrency : of a timed replay, the column of that name; None of every other cell.
-    """
+    """Return the row of `runs.parquet` of one cell; without steps only what identifies the cell."""
     row: dict[str, Any] = {
         "run_id": run_id,
         "mode": cell.mode,

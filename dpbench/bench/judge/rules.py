@@ -151,10 +151,7 @@ def failed_steps(steps: Steps) -> Flags:
 
 
 def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
-    """Return the steps that have an answer to evaluate, late ones on a slow computer too.
-
-    An answer that is late is not for that reason a failed one.
-    """
+    """Return the steps that have an answer to evaluate, late ones on a slow computer too."""
     if slowdown == 0.0:
         return steps
     answered = select_rows(steps, steps["total_ns"] > MISSING_INT)

@@ -33,12 +33,7 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 
 
 def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
-    """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N].
-
-    Parameters
-    ----------
-    limits : of the thrusters, of at least K samples.
-    """
+    """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)

@@ -90,10 +90,7 @@ def reference_kernel_median(columns: Columns) -> float:
 
 
 def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """Return the load kernel time [ns]: minimum over counting rounds, mean over passes.
-
-    Of the passes before and after a round the geometric mean.
-    """
+    """Return the load kernel time [ns]: minimum over counting rounds, mean over passes."""
     rounds = np.unique(columns["repeat"])
     passes = columns["load_kernel_ns"].astype(np.float64)[np.isin(rounds, counting)]
     passes = np.where(passes > 0, passes, np.nan)
@@ -110,12 +107,7 @@ def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
 def deadline_columns(
     delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
-    """Return whether each step of a loop was late, and its latency on a slow computer [ns].
-
-    Parameters
-    ----------
-    latency_ns : (K,) of the slow computer; total_ns : (K,) measured times.
-    """
+    """Return whether each step (K,) of a loop was late, and its latency on a slow computer [ns]."""
     if not delay.is_simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0

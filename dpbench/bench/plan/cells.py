@@ -176,12 +176,7 @@ def recorded_cells(
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """Return the cells that solve the QPs of a ship's capability plot.
-
-    Raises
-    ------
-    InputError : for a vessel without thrusters or the hull that the plot needs.
-    """
+    """Return the cells that solve a capability plot's QPs; InputError without thrusters or hull."""
     files = read_vessel_documents(table.vessel, beside=beside)
     cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]

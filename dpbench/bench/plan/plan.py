@@ -102,10 +102,7 @@ def _load_horizon_variants(
 
 
 def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Return each cell once; equal cells are merged with all names of their settings.
-
-    Two tables may have the same cell, e.g. by its route's name and as the default one.
-    """
+    """Return each cell once; equal cells are merged with all names of their settings."""
     once: dict[str, PlannedCell] = {}
     for planned in cells:
         key = planned.cell.key

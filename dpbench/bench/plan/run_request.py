@@ -30,10 +30,7 @@ from dpbench.solvers.table import load_solver_module
 class Plan:
     """All cells that a request means, with the suite they come from.
 
-    Parameters
-    ----------
-    path : the file of the suite; document : its requested content.
-    part : whether it is less than the whole suite.
+    `document` is the requested content of the suite; `part` tells whether it is less than all.
     """
 
     name: str

@@ -24,13 +24,7 @@ from dpbench.scenario.variation import (
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
-    """Return the closed-loop cells of all studies of a suite, point by point.
-
-    Raises
-    ------
-    InputError : for a key that the scenario has not, a value it cannot have, or one without effect
-        in the steps that run.
-    """
+    """Return the closed-loop cells of a suite's studies; InputError for a key without effect."""
     cells: list[PlannedCell] = []
     titles = [table.title for table in suite.study]
     for table in suite.study:

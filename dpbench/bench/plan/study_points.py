@@ -159,9 +159,7 @@ class StudyPoint:
 def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     """Return all points of a study, each with all its replicates.
 
-    Parameters
-    ----------
-    own : the base scenario's values of the drawn keys: draws are whole numbers where these are.
+    Draws are rounded where the base scenario's `own` value of the key is a whole number.
     """
     axes: list[list[Point]] = [[{key: v} for v in values] for key, values in table.product.items()]
     if table.zip:

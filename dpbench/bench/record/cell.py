@@ -123,13 +123,7 @@ SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KIND
 
 
 def parse_source(values: Mapping[str, Any]) -> QPSource:
-    """Return the QP source that a JSON object describes.
-
-    Raises
-    ------
-    InputError : for an unknown kind.
-    ValidationError : for invalid values.
-    """
+    """Return the QP source that a JSON object describes; InputError or ValidationError if bad."""
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))

@@ -332,10 +332,7 @@ class StepFile:
 class CellStore:
     """The finished cells of a result folder: its part files and its public tables.
 
-    Attributes
-    ----------
-    folder : folder of parts, `cells/`.
-    finished : outcome of each finished cell, by run_id.
+    `folder` holds the part files; `finished` has the outcome of each finished cell, by run_id.
     """
 
     def __init__(self, out: Path) -> None:

@@ -71,13 +71,9 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
-    body = parts[0].ljust(size) + b"".join(_pad_array(array) for array in parts[1:])
+    padded = (array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0") for array in parts[1:])
+    body = parts[0].ljust(size) + b"".join(padded)
     write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
-
-
-def _pad_array(array: bytes) -> bytes:
-    """Return the bytes of an array, padded to a multiple of `_ALIGN`."""
-    return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
 
 
 def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
@@ -96,12 +92,7 @@ def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
 
 @contextmanager
 def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """Open a file of `write_arrays` or a `.npz` file; yield its arrays by name.
-
-    Raises
-    ------
-    ResultsError : the file is missing or damaged; also for arrays the block looks for in vain.
-    """
+    """Open a file of `write_arrays` or a `.npz` file; yield its arrays. ResultsError if damaged."""
     try:
         with open_regular_file(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
@@ -123,16 +114,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """Return the arrays of a `.npz` file, and the packed bytes of Python objects in it.
-
-    Parameters
-    ----------
-    what : expected content, for the error message.
-
-    Raises
-    ------
-    InputError : it cannot be read or is damaged.
-    """
+    """Return the arrays of a `.npz` file, and its packed Python objects; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
     with open_regular_file(path, what) as file:

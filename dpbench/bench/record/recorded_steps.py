@@ -71,12 +71,7 @@ class StepsInMemory:
 
 
 class StepsOnDisk:
-    """The rows of a result folder's `steps.parquet`, read on demand.
-
-    Raises
-    ------
-    ResultsError : the file is missing or damaged, lacks a key, or has a column of another type.
-    """
+    """The rows of a result folder's `steps.parquet`, read on demand; ResultsError if damaged."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "steps.parquet"
@@ -101,17 +96,7 @@ class StepsOnDisk:
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """Yield the wanted columns of some runs as data frames, whole runs at a time.
-
-        Parameters
-        ----------
-        columns : of `STEP_COLUMNS`.
-        run_ids : only the steps of these runs; None for all.
-
-        Raises
-        ------
-        ResultsError : the file is damaged.
-        """
+        """Yield columns of some runs (None: all) as data frames; ResultsError if damaged."""
         for table in self.tables(columns, run_ids):
             yield _to_frame(table, columns)
 

@@ -266,12 +266,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
 
 
 def read_accidents(out: Path) -> tuple[int, list[str]]:
-    """Return the number of lost cells and designs of a result folder, and its remarks.
-
-    Raises
-    ------
-    ResultsError : `suite.json` is missing or damaged.
-    """
+    """Return the number of lost cells and designs, and the remarks, in `suite.json`."""
     suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]

@@ -440,14 +440,12 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
 
 def _study_row(study: dict[str, Any]) -> dict[str, Any]:
     """Return the study columns of one cell: name, point, replicate, and its keys' values."""
-    values = {f"{STUDY_PREFIX}{key}": _plain_value(value) for key, value in study["x"].items()}
+    values = {
+        f"{STUDY_PREFIX}{key}": json.dumps(value) if isinstance(value, list) else value
+        for key, value in study["x"].items()
+    }
     return {
         "study": study["name"],
         "study_point": study["point"],
         "replicate": study["replicate"],
     } | values
-
-
-def _plain_value(value: object) -> object:
-    """Return a value that fits a table cell: a list as JSON text, others unchanged."""
-    return json.dumps(value) if isinstance(value, list) else value

@@ -72,12 +72,7 @@ def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return columns of `runs.parquet` as a full Arrow table; absent ones have no values.
-
-    Raises
-    ------
-    ValueError, TypeError, OverflowError : a value is of another type than its column.
-    """
+    """Return columns of `runs.parquet` as a full table; ValueError or TypeError for wrong types."""
     arrays = {
         name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
         for name, (dtype, _) in RUN_COLUMNS.items()
@@ -171,12 +166,7 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
 
 
 def complete_steps(table: pa.Table) -> pa.Table:
-    """Return a table with the columns of `steps.parquet`; absent ones have no values.
-
-    Raises
-    ------
-    ValueError, ArrowException : a column is of another type.
-    """
+    """Return a table with all columns of `steps.parquet`; ValueError for wrong types."""
     return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
@@ -206,12 +196,7 @@ def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
 
 
 def complete_runs(table: pa.Table) -> pa.Table:
-    """Return a table with the columns of `runs.parquet`; absent ones have no values.
-
-    Raises
-    ------
-    ValueError, ArrowException : a column is of another type, or lacks a number that no run lacks.
-    """
+    """Return a table with all columns of `runs.parquet`; ValueError for wrong types."""
     return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 

@@ -96,10 +96,7 @@ def closed_loop_setup(
 
 
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
-    """Return the workspace of a backup solver, set up anew at every step.
-
-    InputError where it cannot be opened.
-    """
+    """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
     route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
@@ -120,10 +117,7 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """Return the QPs in a solver's formulation, the timed solver, and a new raw log.
-
-    InputError for "sparse" QPs that have no scenario.
-    """
+    """Return the QPs in a solver's formulation, the timed solver, and a new raw log."""
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
     steps, formulated = replay_formulation(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

@@ -63,12 +63,7 @@ class Backup:
 
 
 class LoopWithBackup:
-    """Solver, backup solver and fallback of a loop that waits for every answer.
-
-    Attributes
-    ----------
-    acted : whether the last move was not one of the solver's own answer.
-    """
+    """Solver, backup solver and fallback of a loop that waits for every answer."""
 
     def __init__(
         self,

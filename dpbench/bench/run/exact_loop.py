@@ -216,13 +216,7 @@ def rebuild_sequence(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """Return the QPs of `count` steps from `first` on along an exactly solved loop.
-
-    Raises
-    ------
-    ResultsError : the loop has no such steps.
-    InputError : "allocation" where no second QP allocates.
-    """
+    """Return the QPs of `count` steps from `first` on along an exactly solved loop."""
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"

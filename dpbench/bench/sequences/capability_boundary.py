@@ -33,16 +33,7 @@ def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
 
 
 def write_capability_suite(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
-    """Write the certified QPs of a capability plot, and a suite that replays them.
-
-    Parameters
-    ----------
-    frontier : with polygons; capability : of it.
-
-    Returns
-    -------
-    The suite's file, beside `capability.npz`; it solves each QP once with default settings.
-    """
+    """Write a capability plot's certified QPs and a suite that replays them; return its path."""
     points = all_points(frontier, capability)
     folder.mkdir(parents=True, exist_ok=True)
     save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))

@@ -57,12 +57,7 @@ def average_force(tau: Matrix, sample_s: float) -> Matrix:
 
 
 def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSequence:
-    """Return the QPs that ask whether other thrusters can replace a failure group at each step.
-
-    Parameters
-    ----------
-    scenario : commands thrusters; tau : (K, 3) the force of its run [N, N, N·m].
-    """
+    """Return the QPs that ask whether a force tau (K, 3) can be made without a failure group."""
     thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
@@ -107,9 +102,9 @@ def measure_hardness(active: Ints, feasible: Flags) -> Floats:
 
 
 def find_window_start(hard: Floats, steps: int) -> int:
-    """Return the first step of the hardest window of `steps` steps, by hardness (K,).
+    """Return the first step of the window of `steps` steps around the hardest step.
 
-    Of these windows it has the largest sum of hardness; of equals the earliest.
+    Of all windows with that step, it has the largest sum of hardness; of equals the earliest.
     """
     sums = sliding_window_view(hard, steps).sum(axis=1)
     at = int(np.argmax(hard))

@@ -56,9 +56,7 @@ class {class_name}(ParquetTestSet):
 def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
     """Write a sequence as a qpbenchmark test set: `<stem>.parquet` and `<stem>.py`.
 
-    Raises
-    ------
-    InputError : when the stem is no name that qpbenchmark can import, or no step is left.
+    Steps without a certified optimum are left out; InputError for a stem that Python cannot import.
     """
     path = Path(out)
     stem = path.stem

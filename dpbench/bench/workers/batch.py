@@ -42,10 +42,7 @@ AnyItem = TypeVar("AnyItem", bound=Item)
 
 
 class _ItemProcess(Child, Generic[AnyItem]):
-    """A worker process that handles several items in order, with a verdict file for each.
-
-    `alone` tells whether nothing else runs beside it.
-    """
+    """A worker process that handles several items in order, with a verdict file for each."""
 
     def __init__(
         self,

@@ -330,7 +330,7 @@ class Child:
 class ServingChild(Child):
     """A worker process that takes orders over a pipe and may serve several cells in turn.
 
-    It may serve several cells: `begin_cell` begins each but the first, `finish_cell` ends each.
+    `begin_cell` begins each cell but the first, `finish_cell` ends each; None ends the process.
     """
 
     def __init__(

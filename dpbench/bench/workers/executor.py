@@ -311,12 +311,7 @@ class CellExecutor(ExitStack):
         return sizes, lost
 
     def check_machine_free(self, *, times: bool) -> None:
-        """Raise BusyError where other campaigns keep this machine busy beyond the wait limit.
-
-        Parameters
-        ----------
-        times : whether replays will be timed, which takes all of the machine.
-        """
+        """Raise BusyError where the machine stays busy too long; `times` needs all of it."""
         if self._patience.limit_s is not None:
             with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass

@@ -18,12 +18,7 @@ from dpbench.locks import FILE, Holder, WaitLimit, lock_file, try_lease
 
 
 def open_lease_folder() -> Path:
-    """Return the folder of this user's lock files; InputError where it is not safe.
-
-    Raises
-    ------
-    InputError : it is a link or a file, belongs to another user, or can be written by others.
-    """
+    """Return the folder of this user's lock files; InputError where others could write to it."""
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
         folder.mkdir(0o700)

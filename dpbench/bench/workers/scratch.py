@@ -71,12 +71,7 @@ class Scratch(ExitStack):
         return lines
 
     def choose_folder(self, need: int = 0, what: str = "") -> Path:
-        """Return a folder with room for `need` bytes of raw logs; NoRoomError without any.
-
-        Raises
-        ------
-        NoRoomError : there is none.
-        """
+        """Return a folder with room for `need` bytes of raw logs; NoRoomError without any."""
         short: list[str] = []
         for place in self._places:
             free = count_free_bytes(place)

@@ -101,9 +101,8 @@ class BatchCell:
 def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
     """Return round and step in which a killed process hung; None where it cannot be continued.
 
-    None where it cannot go on behind it: it hung too often, outside of its steps, or on a slow
-    computer with a backup. The log counts as not started again, so that the next process has time
-    to open its library.
+    It cannot where it hung too often, outside of its steps, or on a slow computer with a backup.
+    The log is marked as not started, so that the next process has time to open its library.
     """
     # The latencies of a backup are not repeated, and it may steer otherwise with others.
     if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
@@ -264,10 +263,7 @@ def _make_outcome(
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """An order to serve one replay: its cell, source file, folder and name.
-
-    `hung` tells where earlier processes of it hung.
-    """
+    """An order to serve one replay: its cell, source file, folder and name."""
 
     cell: str
     source: Path

@@ -44,12 +44,7 @@ class _BudgetError(Exception):
 
 
 class SearchedSolver:
-    """A solver configuration in a worker process that answers sequences one after the other.
-
-    Parameters
-    ----------
-    context : forks its processes; folder : for their raw logs; cell : the configuration.
-    """
+    """A solver configuration in a worker process that answers sequences one after the other."""
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell

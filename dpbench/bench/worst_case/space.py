@@ -18,7 +18,6 @@ A run starts without force (method.md section 3), and is long enough to reach th
 from __future__ import annotations
 
 import copy
-from typing import Any
 
 import numpy as np
 
@@ -57,15 +56,8 @@ class SearchSpace:
         self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
         vessel = scenario.vessel
         self._force_kN = _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
-        self._first_fault_s = min(
-            (fault["at_s"] for fault in self._scenario_table["faults"]), default=None
-        )
-
-    @property
-    def _scenario_table(self) -> dict[str, Any]:
-        """The scenario document that variants are made from."""
-        table: dict[str, Any] = self._files["scenario"]
-        return table
+        faults = scenario.files["scenario"]["faults"]
+        self._first_fault_s = min((fault["at_s"] for fault in faults), default=None)
 
     @property
     def dimensions(self) -> int:
