@@ -107,7 +107,7 @@ class Campaign:
             self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
-        self.write(started_utc, time.monotonic() - started_s, engine.remarks)
+        self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def find_pending(self) -> list[CellJob]:
         """Return the unfinished cells; set the outcome of refused and stored cells."""
@@ -164,7 +164,7 @@ class Campaign:
             return []
         return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
-    def write(
+    def write_results(
         self,
         started: datetime,
         wall_s: float,

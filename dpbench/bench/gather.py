@@ -86,7 +86,7 @@ def gather(
         campaign.find_pending()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
-        campaign.write(started_utc, time.monotonic() - started_s, remarks, made_by)
+        campaign.write_results(started_utc, time.monotonic() - started_s, remarks, made_by)
     return Path(out)
 
 

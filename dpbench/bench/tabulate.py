@@ -51,10 +51,10 @@ class RequestedRuns:
                 run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
-    def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
+    def make_rows(self, finished: pd.DataFrame) -> pd.DataFrame:
         """Return the row of each requested run; an unfinished one has only its outcome."""
         own = finished[finished.index.isin(self.jobs)]
-        aliases = self.aliases(finished)
+        aliases = self.find_aliases(finished)
         others = [
             self._unfinished_row(run_id, *job)
             for run_id, job in self.jobs.items()
@@ -84,7 +84,7 @@ class RequestedRuns:
         cell = job.cell.with_settings(settings)
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
-    def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
+    def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
         """Return new run_id: finished run_id, of runs whose settings have another name."""
         return {
             run_id: job.run_id
@@ -145,11 +145,11 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
     finished = runs_to_frame(stored)
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
-        aliases = wanted.aliases(finished)
+        aliases = wanted.find_aliases(finished)
         read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
-        rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
+        rows = with_loop_ratio(wanted.make_rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
         store.public.write(runs_from_frame(runs), steps)
     finally:

@@ -107,7 +107,7 @@ class StepEvaluator:
         self._waiting: list[tuple[QPStep, QPStep, Solution, Optimum]] = []
         self._evaluated: list[Matrix] = []
 
-    def follow(self, step: QPStep, own: QPStep) -> None:
+    def switch_matrices(self, step: QPStep, own: QPStep) -> None:
         """Switch to the matrices of a step where it has new ones."""
         if self._scaled.changed_by(step):
             self._evaluate_queue()
@@ -121,7 +121,7 @@ class StepEvaluator:
             self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
+    def add_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
         """Queue an answer, in the solver's own units, for evaluation against its optimum."""
         self._waiting.append((scaled, own, answer, optimum))
         if len(self._waiting) >= BATCH_SIZE:
@@ -295,9 +295,9 @@ def _evaluate_steps(
     matrix_steps = 0
     for k in np.flatnonzero(asked).tolist():
         step, step_own = rebuilt(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step)
-        evaluator.add(step, step_own, recorded_answer(answers, 0, k), optimum)
+        evaluator.add_answer(step, step_own, recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
     evaluations[asked] = evaluator.evaluations()

@@ -76,7 +76,7 @@ def _evaluate_rounds(
     for k in np.flatnonzero(recorded.any(axis=0)).tolist():
         step = scaled.step(k)
         step_own = step if own is scaled else own.step(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step) if optima is None else optima[k]
         kinds[:, k] = CERTIFICATES.index(optimum.kind)
         seen: dict[bytes, int] = {}
@@ -85,7 +85,7 @@ def _evaluate_rounds(
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                evaluator.add(step, step_own, answer, optimum)
+                evaluator.add_answer(step, step_own, answer, optimum)
                 seen[identity], added = added, added + 1
             numbers[r, k] = seen[identity]
     return evaluator.evaluations()[numbers[recorded]], kinds[recorded]

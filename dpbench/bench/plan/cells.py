@@ -111,7 +111,7 @@ def replay_cells(
     Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
     share of the budgets of its stretch, and a short warm-up.
     """
-    share = steps / source.stretch(steps)
+    share = steps / source.count_stretch_steps(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {
             "budget_s": share * suite.replay_budget_s,
@@ -201,7 +201,7 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
     cells: list[PlannedCell] = []
     for recipe in table.list_recipes():
-        source = RandomSource.of(recipe)
+        source = RandomSource.from_recipe(recipe)
         planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
         semidefinite = FAMILIES[recipe.family].semidefinite
         cells += map(_refuse_semidefinite, planned) if semidefinite else planned

@@ -45,7 +45,7 @@ class QPSource:
         """Return the source as a JSON object; empty where the QPs are the controller's own."""
         return {"kind": self.kind, **asdict(self)} if self.kind else {}
 
-    def stretch(self, steps: int) -> int:
+    def count_stretch_steps(self, steps: int) -> int:
         """Return how many steps of its loop or sequence a replay of `steps` is chosen from."""
         return steps
 
@@ -65,7 +65,7 @@ class HardestSource(QPSource):
 
     of: int = 0
 
-    def stretch(self, steps: int) -> int:
+    def count_stretch_steps(self, steps: int) -> int:
         """Return how many steps the hardest ones are chosen from."""
         return self.of
 
@@ -102,7 +102,7 @@ class RandomSource(QPSource):
     recipe: RandomRecipe
 
     @classmethod
-    def of(cls, recipe: RandomRecipe) -> RandomSource:
+    def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
         """Return the source of a random recipe, named after it."""
         return cls(name=recipe.name, recipe=recipe)
 
@@ -249,7 +249,7 @@ class Cell:
     @property
     def last_step(self) -> int:
         """Number of steps that the source of the QPs must have."""
-        return self.first + self.source.stretch(self.steps)
+        return self.first + self.source.count_stretch_steps(self.steps)
 
     def source_key(self, harness_version: str) -> str:
         """Return a hash shared by all cells whose QPs are read from the same file."""

@@ -55,12 +55,12 @@ class StepsInMemory:
         if len(some):
             yield some
 
-    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the steps of one run."""
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
-    def frame(self) -> pd.DataFrame:
+    def read_all(self) -> pd.DataFrame:
         """Return the steps of all runs."""
         return self._frame
 
@@ -81,7 +81,7 @@ class StepsOnDisk:
         self._check_schema(schema)
         self._read = lru_cache(maxsize=CACHED_GROUPS)(self._read_group_frame)
 
-    def tables(
+    def scan_tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
         """Yield the wanted columns of some runs as Arrow tables, one per row group."""
@@ -97,10 +97,10 @@ class StepsOnDisk:
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
         """Yield columns of some runs (None: all) as data frames; ResultsError if damaged."""
-        for table in self.tables(columns, run_ids):
+        for table in self.scan_tables(columns, run_ids):
             yield _to_frame(table, columns)
 
-    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the steps of one run; its row group stays in memory for the next call."""
         group = self._groups_by_run.get(run_id)
         if group is None:
@@ -108,9 +108,9 @@ class StepsOnDisk:
         first, end = self._run_rows[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
-    def frame(self) -> pd.DataFrame:
+    def read_all(self) -> pd.DataFrame:
         """Return the steps of all runs as one data frame."""
-        tables = [_to_frame(table, ALL_COLUMNS) for table in self.tables(ALL_COLUMNS)]
+        tables = [_to_frame(table, ALL_COLUMNS) for table in self.scan_tables(ALL_COLUMNS)]
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check_schema(self, schema: pa.Schema) -> None:
@@ -176,7 +176,7 @@ def scan_steps(
     ------
     ResultsError : naming the file, when it is missing or damaged, or has no such column.
     """
-    yield from StepsOnDisk(Path(out)).tables(columns, run_ids)
+    yield from StepsOnDisk(Path(out)).scan_tables(columns, run_ids)
 
 
 def read_steps(

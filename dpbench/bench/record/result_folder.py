@@ -194,7 +194,7 @@ class Results:
     @cached_property
     def steps(self) -> pd.DataFrame:
         """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
-        return self.recorded.frame()
+        return self.recorded.read_all()
 
 
 @contextmanager

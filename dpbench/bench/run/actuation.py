@@ -33,7 +33,7 @@ class Actuation:
     def prepare(self) -> None:
         """Set up what is needed before the first step."""
 
-    def act(self, k: int) -> int:
+    def apply_step(self, k: int) -> int:
         """Set command and force from the limited u of step k; return a solver's time [ns]."""
         return 0
 
@@ -45,7 +45,7 @@ class ThrusterActuation(Actuation):
         super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
 
-    def act(self, k: int) -> int:
+    def apply_step(self, k: int) -> int:
         """Set the force on the ship to T_e u, from the thruster forces u of step k."""
         self._T_e.dot(self.command, out=self.tau)
         self._log.tau[k] = self.tau
@@ -60,7 +60,7 @@ class Allocator(Actuation):
     Parameters
     ----------
     solver : of the QPs; None where the pseudo-inverse allocates.
-    u : (3,) the demanded force, and after `act` what the thrusters make of it.
+    u : (3,) the demanded force, and after `apply_step` what the thrusters make of it.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Allocator(Actuation):
         if self._solver is not None and answers is not None:
             answers.setup_once_ns[0] = self._solver.prepare()
 
-    def act(self, k: int) -> int:
+    def apply_step(self, k: int) -> int:
         """Allocate the demand u to thrusters, set u to their sum; return the time [ns]."""
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False

@@ -75,7 +75,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     limit, limits = scenario.controller.move_limit(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
-    act = actuation.act
+    act = actuation.apply_step
     actuation.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan

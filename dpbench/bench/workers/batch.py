@@ -131,7 +131,7 @@ class CellRun:
         """Start the first process on a core."""
         return self._start_process(self._cells, core)
 
-    def follow(self, child: Child, core: int) -> Child | None:
+    def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
@@ -241,7 +241,7 @@ class FileRun:
             [FileTask(text, path, limit_s) for path, text in texts.items()], core
         )
 
-    def follow(self, child: Child, core: int) -> Child | None:
+    def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()

@@ -43,7 +43,7 @@ class Task(Protocol):
     def start(self, core: int) -> Child:
         """Start the first process on a core."""
 
-    def follow(self, child: Child, core: int) -> Child | None:
+    def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
 
 
@@ -79,7 +79,7 @@ class CorePool(Generic[AnyTask]):
                     continue
                 child.join()
                 self._running.remove(entry)
-                following = task.follow(child, core)
+                following = task.start_next(child, core)
                 if following is None:
                     self._free.append(core)
                     ended.append(task)
@@ -285,7 +285,7 @@ class CellExecutor(ExitStack):
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = EXCLUSIVE if self._concurrency == 1 else SHARED
         with self._lock_machine(how) as held, _avoid_core(core):
-            for r in group.run():
+            for r in group.run_rounds():
                 self.progress.advance(share, f"replay {name}, round {r}")
                 batch.shown_work += share
         if not held:

@@ -141,7 +141,7 @@ class ReplayGroup:
         self._cells, self._alone = cells, alone
         self.outcomes: dict[str, Outcome] = {}
 
-    def run(self) -> Iterator[int]:
+    def run_rounds(self) -> Iterator[int]:
         """Run all rounds of all configurations; yield each finished round, 0 for the warm-up."""
         workers: list[ReplayWorker] = []
         try:

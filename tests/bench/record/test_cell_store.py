@@ -352,5 +352,5 @@ def test_tables_are_on_the_disk_before_the_parts_go(
 
 
 def test_a_shard_without_cells_has_a_table_without_rows() -> None:
-    rows = RequestedRuns([]).rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    rows = RequestedRuns([]).make_rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
     assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

@@ -416,7 +416,7 @@ def test_damaged_cells_run_again(table: str, copied: Path) -> None:
 def test_parts_damaged_while_the_campaign_runs_are_lost(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, write = copied / "out", Campaign.write
+    out, write = copied / "out", Campaign.write_results
     forget_cells(out)
 
     def late(self: Campaign, *rest: object) -> None:
@@ -424,7 +424,7 @@ def test_parts_damaged_while_the_campaign_runs_are_lost(
         write(self, *rest)  # type: ignore[arg-type] # passed on
 
     with monkeypatch.context() as patch:
-        patch.setattr(Campaign, "write", late)
+        patch.setattr(Campaign, "write_results", late)
         lost = run(copied / "tiny.toml", out)
     assert 1 <= lost <= 2 and outcomes(out) == ["finished"] * (3 - lost) + ["lost"] * lost
     assert run(copied / "tiny.toml", out) == 0
