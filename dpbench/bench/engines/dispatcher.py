@@ -42,7 +42,7 @@ DIED = "every worker that it was given to died"
 
 
 class Dispatcher:
-    """Hands batches of cells and files to an engine, with their sources, retries and progress."""
+    """Dispatcher of cells and files to an engine, with their sources, retries and progress."""
 
     def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
         self._engine, self._sources, self._progress = engine, sources, progress

@@ -92,7 +92,7 @@ class EvaluatedCell:
 
 
 class StepEvaluator:
-    """Compares a solver's answers with certified optima, many steps at once.
+    """Evaluator of a solver's answers against certified optima, many steps at once.
 
     Parameters
     ----------

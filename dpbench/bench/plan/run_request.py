@@ -52,7 +52,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What a user asks to run: a suite or a sequence, and which part of it."""
+    """The run that a user asks for: a suite or a sequence, and a choice of its parts."""
 
     suite: str | None = None
     sequence: str | None = None
@@ -84,7 +84,7 @@ class RunRequest:
 
     @property
     def has_suite(self) -> bool:
-        """Whether the suite can be read on this machine."""
+        """Return whether the suite can be read on this machine."""
         return self._suite_file is None or self._suite_file.is_file()
 
     def with_absolute_path(self) -> RunRequest:

@@ -100,7 +100,7 @@ def _cell_at_point(
 
 
 class _ScenarioCache:
-    """Makes the scenarios of a study's points, keeping the latest for all configurations."""
+    """Builder of the scenarios at a study's points, which keeps the latest one."""
 
     def __init__(self, base: Scenario, where: str, beside: Path | None) -> None:
         self._base, self._where, self._beside = base, where, beside

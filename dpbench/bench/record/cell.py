@@ -238,12 +238,12 @@ class Cell:
 
     @property
     def is_timed(self) -> bool:
-        """Whether this is a replay whose times are compared."""
+        """Return whether the cell is a replay whose times are compared."""
         return self.mode == "replay" and self.source.is_timed
 
     @property
     def is_window(self) -> bool:
-        """Whether this replays only the hardest steps of a sequence."""
+        """Return whether the cell replays only the hardest steps of a sequence."""
         return isinstance(self.source, HardestSource)
 
     @property
@@ -312,7 +312,7 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a process ended: an outcome of `OUTCOMES`, its cause, and what the solver was given.
+    """Outcome of a cell's process, with its cause and the size of the QP given to the solver.
 
     n, m : size of the QP given to the solver; None where it got none.
     peak_bytes : largest resident memory of its process; None where unknown.

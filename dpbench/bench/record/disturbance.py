@@ -100,7 +100,7 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What disturbed some replays: slow rounds, context switches, steal time, throttling.
+    """Figures of what disturbed some replays: slow rounds, context switches, steal time.
 
     Parameters
     ----------

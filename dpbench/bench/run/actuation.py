@@ -19,7 +19,7 @@ from dpbench.ship.layout import AXES
 
 
 class Actuation:
-    """Turns the limited u of a step into the ship's command and force; here they are u itself.
+    """Actuation of a controller of forces: the limited u of a step is both command and force.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Actuation:
 
 
 class ThrusterActuation(Actuation):
-    """Applies u as thruster forces, whose sum T_e u is the force on the ship."""
+    """Actuation of a controller of thrusters: u are their forces, T_e u the force on the ship."""
 
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
         super().__init__(u, np.zeros(AXES), log.thrust)
@@ -53,7 +53,7 @@ class ThrusterActuation(Actuation):
 
 
 class Allocator(Actuation):
-    """Allocates a demanded force u to thrusters, by a QP or the pseudo-inverse, within limits.
+    """Actuation of a cascade: allocates the force u to thrusters, by a QP or pseudo-inverse.
 
     Without a usable answer of the QP the pseudo-inverse acts.
 

@@ -14,7 +14,7 @@ Law = Callable[[Vector, Vector, Vector], Vector]
 
 
 class FallbackPolicy:
-    """Chooses the move of a step without a usable answer; this policy holds the force.
+    """Policy for the move of a step without a usable answer; this one holds the force.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ def mark_as_first_oom_victim() -> None:
 
 
 class MemoryWatch:
-    """Measures a solver's peak memory: that of its worker, less the harness's own part.
+    """Meter of a solver's peak memory: that of its worker, less the harness's own part.
 
     Made before the solver's library is imported. A forked process starts with its parent's present
     memory as its peak, which is subtracted; an older process resets its peak first.

@@ -24,7 +24,7 @@ from dpbench.scenario.scenario import Scenario
 
 
 class QPBuilder:
-    """Emits the QPs of a scenario's controller, and of a cascade's allocation, step by step.
+    """Builder of the QPs of a scenario's controller, and of a cascade's allocation, by step.
 
     Attributes
     ----------

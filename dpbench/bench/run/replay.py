@@ -76,7 +76,7 @@ def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
 
 
 class ReplayRun:
-    """Replays one sequence of QPs with one solver, round by round.
+    """Replay of one sequence of QPs with one solver, round by round.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class ComputationalDelay:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether answers may arrive late; otherwise the loop waits for each."""
+        """Return whether answers may arrive late; otherwise the loop waits for each."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:

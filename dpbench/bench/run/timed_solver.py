@@ -44,7 +44,7 @@ def is_usable(solution: Solution) -> bool:
 
 
 class TimedSolver:
-    """Times the phases of one solver workspace and turns its failures into answers.
+    """Timer of one solver's phases, which also turns its failures into answers.
 
     After `answer`, `phases_ns` holds set-up, update, solve and read of that step, −1 for none;
     `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
@@ -299,7 +299,7 @@ UNKNOWN = -1
 
 
 class RunDelay:
-    """Measures how long a thread was ready to run while its core ran something else.
+    """Meter of how long a thread was ready to run while its core ran something else.
 
     The kernel's scheduler sums it up: the second number of `schedstat` in proc(5). Sleep, and
     waiting for another thread, do not count.

@@ -204,12 +204,12 @@ class Child:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether the process wrote its outcome, which is final."""
+        """Return whether the process wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether the process may have killed its fork server, and must run once more alone."""
+        """Return whether the process may have killed its fork server, and must run again alone."""
         return self.forkserver_died and not self.alone
 
     def kill_if_overdue(self) -> bool:

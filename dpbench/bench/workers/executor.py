@@ -117,7 +117,7 @@ def _avoid_core(core: int) -> Iterator[None]:
 
 
 class CellExecutor(ExitStack):
-    """Runs batches of cells and files in worker processes on this machine's cores.
+    """Executor of batches of cells and files in worker processes on this machine's cores.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class ReplayWorker:
 
     @property
     def is_budget_exhausted(self) -> bool:
-        """Whether the time budget is used up after enough undisturbed rounds."""
+        """Return whether the time budget is used up after enough undisturbed rounds."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest

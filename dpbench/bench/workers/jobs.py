@@ -64,7 +64,7 @@ class Result:
 
     @property
     def is_lost(self) -> bool:
-        """Whether an accident of the harness, not the solver, ended the cell."""
+        """Return whether an accident of the harness, not the solver, ended the cell."""
         return self.outcome.outcome == "lost"
 
 
@@ -87,7 +87,7 @@ class CellBatch:
 
     @property
     def is_timed(self) -> bool:
-        """Whether nothing else may run on the machine meanwhile."""
+        """Return whether nothing else may run on the machine meanwhile."""
         return self.kind == "replays"
 
     @property

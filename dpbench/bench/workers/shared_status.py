@@ -44,7 +44,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """What a worker process is doing: starting, harness work, opening a solver, or solving."""
+    """Phases of a worker process: starting, harness work, opening a solver, solving."""
 
     STARTING = 0
     HARNESS = 1
@@ -53,7 +53,7 @@ class Phase(IntEnum):
 
     @property
     def blames_solver(self) -> bool:
-        """Whether the solver is blamed for a process that ends in this phase."""
+        """Return whether the solver is blamed for a process that ends in this phase."""
         return self >= Phase.OPENING
 
 
@@ -91,7 +91,7 @@ class Output:
 
     @property
     def is_full(self) -> bool:
-        """Whether the captured output was cut."""
+        """Return whether the captured output was cut."""
         # A write may be refused whole for its last bytes.
         return self._size > OUTPUT_BYTES - 2**14
 

@@ -79,7 +79,7 @@ def write_outcome(path: Path, outcome: Outcome) -> None:
 
 @dataclass(frozen=True)
 class BatchCell:
-    """What a worker process needs to run and judge one cell of a batch.
+    """One cell of a batch, with all that a worker process needs to run and judge it.
 
     outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.

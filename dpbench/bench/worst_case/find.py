@@ -60,7 +60,7 @@ class WorstCase:
 
     @property
     def beats_baseline(self) -> bool:
-        """Whether the worst step is worse than any step of the unchanged scenario."""
+        """Return whether the worst step is worse than any step of the unchanged scenario."""
         own = self.search.baseline
         return self.worst is not None and (own is None or self.worst.objective > own.objective)
 
