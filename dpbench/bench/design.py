@@ -127,7 +127,7 @@ class Design:
 
     @property
     def vessel(self) -> str:
-        """Name of the vessel."""
+        """Name of the vessel that the controller steers."""
         return str(self.files["vessel_name"])
 
     @property

@@ -46,7 +46,7 @@ class Rates:
     run_bytes: float = RUN_BYTES
 
     def seconds_of(self, cell: Cell) -> float:
-        """Return the expected run time of a cell [s]."""
+        """Return the expected run time of a cell [s], by the measured or stated step times."""
         step_s = self.steps_s.get(_kind_of_cell(cell), STEP_S - JUDGE_STEP_S)
         return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 

@@ -9,7 +9,7 @@ class Progress(Protocol):
     """Receiver of a campaign's progress, such as a progress bar; `work` is in solver steps."""
 
     def start(self, work: int) -> None:
-        """Set the total work [steps]."""
+        """Set a campaign's total work [solver steps]."""
 
     def advance(self, work: int, what: str) -> None:
         """Add finished work [steps]; `what` names the latest part of it."""

@@ -117,7 +117,7 @@ class DaskEngine(ExitStack):
 
     @property
     def cluster(self) -> Cluster:
-        """The Dask cluster with its workers."""
+        """The Dask cluster that runs the cells."""
         assert self._cluster is not None, "it is prepared"
         return self._cluster
 

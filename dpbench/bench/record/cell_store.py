@@ -107,7 +107,7 @@ class Source(ABC):
 
     @abstractmethod
     def remove(self) -> None:
-        """Delete the files of this source."""
+        """Delete the files that finished cells are read from."""
 
     def read_rows(self) -> pa.Table:
         """Return the rows of finished runs as one table; an empty one if unreadable."""
@@ -290,7 +290,7 @@ class StepFile:
 
     @property
     def rows(self) -> int:
-        """Number of rows so far."""
+        """Number of rows of steps so far."""
         return self._writer.rows + self._count
 
     @property
@@ -317,7 +317,7 @@ class StepFile:
             self._flush()
 
     def _flush(self) -> None:
-        """Write the added steps as one row group."""
+        """Write the added steps as one row group of the Parquet file."""
         if self._count:
             file = io.BytesIO(encode_steps(pa.concat_tables(self._waiting)))
             self._writer.copy(file, read_footer(file), 0)

@@ -74,7 +74,7 @@ class MachineDescription(ComparedMachine, total=False):
 
 
 class _Requirements(TypedDict, total=False):
-    """The table `requirements` of `suite.json`."""
+    """Table `requirements` of `suite.json`: limits that a solver must keep."""
 
     error_move: float
     failed_steps: int
@@ -83,7 +83,7 @@ class _Requirements(TypedDict, total=False):
 
 
 class _Report(TypedDict, total=False):
-    """The table `report` of `suite.json`."""
+    """Table `report` of `suite.json`: the baseline and the step that the report shows first."""
 
     baseline: str | None
     step: int | None
@@ -91,7 +91,7 @@ class _Report(TypedDict, total=False):
 
 
 class StudyDescription(TypedDict, total=False):
-    """A `[[study]]` table of `suite.json`."""
+    """Table `[[study]]` of `suite.json`: base scenario, name and radius of a study."""
 
     base: Required[str]
     name: str | None
@@ -99,7 +99,7 @@ class StudyDescription(TypedDict, total=False):
 
 
 class RevisionDescription(TypedDict):
-    """A git revision of dpbench in `suite.json`."""
+    """Git commit of dpbench in `suite.json`, and whether its files were unchanged."""
 
     commit: str
     clean: bool
@@ -107,7 +107,7 @@ class RevisionDescription(TypedDict):
 
 @with_config(_OPEN)
 class SuiteDescription(TypedDict, total=False):
-    """Content of `suite.json`."""
+    """Content of `suite.json`: the suite that was run, when, by which version, what was lost."""
 
     name: str
     title: str

@@ -221,7 +221,7 @@ def runs_to_frame(table: pa.Table) -> pd.DataFrame:
 
 
 def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
-    """Return the steps of the runs `names`."""
+    """Return the rows of a table of steps whose run_id is in `names`."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
     if not wanted.any():
@@ -231,7 +231,7 @@ def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
 
 
 def rename_steps(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return the steps of the runs in `names`, under their new run_ids."""
+    """Return the rows of a table of steps whose run_id is in `names`, under new run_ids."""
     some = filter_steps(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())

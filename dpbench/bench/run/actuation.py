@@ -31,7 +31,7 @@ class Actuation:
         self.command, self.tau, self.applied = command, tau, applied
 
     def prepare(self) -> None:
-        """Set up what is needed before the first step."""
+        """Set up the allocation solver, if any, before the first step."""
 
     def apply_step(self, k: int) -> int:
         """Set command and force from the limited u of step k; return a solver's time [ns]."""

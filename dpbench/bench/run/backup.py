@@ -89,7 +89,7 @@ class LoopWithBackup:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of matrix updates of the main solver."""
+        """Number of updates in which the main solver took new matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:

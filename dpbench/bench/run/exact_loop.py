@@ -116,7 +116,7 @@ class ExactLoop:
     drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write the loop to a file, for `load`."""
+        """Write the states, forces and optima of the loop to a `.npz` file."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
         arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:

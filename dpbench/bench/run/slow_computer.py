@@ -137,7 +137,7 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of matrix updates of the solver."""
+        """Number of updates in which the solver took new matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:

@@ -128,7 +128,7 @@ class CellRun:
         self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
-        """Start the first process on a core."""
+        """Start the process that runs the batch's cells on a core."""
         return self._start_process(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
@@ -235,7 +235,7 @@ class FileRun:
         self._paths = {path.stem: str(path) for path in batch.texts}
 
     def start(self, core: int) -> Child:
-        """Start the first process on a core."""
+        """Start the process that makes the batch's files on a core."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
         return self._start_process(
             [FileTask(text, path, limit_s) for path, text in texts.items()], core
@@ -251,7 +251,7 @@ class FileRun:
         return self._start_process(rest, core) if rest and not child.is_suspect else None
 
     def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
-        """Start a process that makes files in turn."""
+        """Start a process that makes files one after the other."""
         target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(
             self._context, target, tasks, self.folder, core, logs=False, alone=alone

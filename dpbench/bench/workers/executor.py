@@ -41,10 +41,10 @@ class Task(Protocol):
     """Protocol of work on one core: a sequence of worker processes."""
 
     def start(self, core: int) -> Child:
-        """Start the first process on a core."""
+        """Start the task's first worker process on a core."""
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+        """Record how a process ended; start the task's next one, or return None at the end."""
 
 
 AnyTask = TypeVar("AnyTask", bound=Task)

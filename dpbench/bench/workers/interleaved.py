@@ -225,7 +225,7 @@ class ReplayGroup:
             return False
 
     def _open_log(self, worker: ReplayWorker) -> RawLog:
-        """Return the raw log of a worker's replay."""
+        """Return the raw log of one configuration's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 

@@ -41,7 +41,7 @@ class CellJob:
 
     @property
     def cell(self) -> Cell:
-        """The cell to run."""
+        """The planned cell itself, without its job's data."""
         return self.planned.cell
 
     @cached_property
@@ -92,7 +92,7 @@ class CellBatch:
 
     @property
     def names(self) -> list[str]:
-        """The run_id of each cell."""
+        """The run_id of each cell of the batch."""
         return [job.run_id for job in self.jobs]
 
     @property
@@ -129,7 +129,7 @@ class FileBatch:
 
     @property
     def names(self) -> list[str]:
-        """The path of each file."""
+        """The path of each file of the batch, as text."""
         return [str(path) for path in self.texts]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[FileBatch]:

@@ -84,7 +84,7 @@ class Output:
             setattr(sys, name, text)
 
     def discard(self) -> None:
-        """Discard the output captured so far."""
+        """Discard the process output captured so far."""
         with suppress(ValueError):
             sys.stdout.flush()
         os.lseek(self._descriptor, 0, os.SEEK_SET)
@@ -104,7 +104,7 @@ class Output:
 
     @property
     def _size(self) -> int:
-        """Number of bytes captured so far."""
+        """Number of bytes of output captured so far."""
         return os.lseek(self._descriptor, 0, os.SEEK_CUR)
 
 

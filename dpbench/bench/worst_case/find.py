@@ -66,7 +66,7 @@ class WorstCase:
 
     @property
     def lines(self) -> list[str]:
-        """The result of the search in words, a line each."""
+        """The result of a worst-case search in words, a line each."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         headline = "nothing found"

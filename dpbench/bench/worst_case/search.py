@@ -83,7 +83,7 @@ class SearchedSolver:
         return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
 
     def close(self) -> None:
-        """End the worker process."""
+        """End the worker process of the solver."""
         self._child.dismiss()
 
 
