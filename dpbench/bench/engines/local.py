@@ -63,7 +63,7 @@ class LocalEngine(ExitStack):
             executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead: one of timed replays, else two per core."""
+        """Return how many batches to submit ahead: one of timed replays, else two per slot."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
