@@ -149,7 +149,7 @@ def test_a_stopped_worker_is_given_up(
     monkeypatch.setattr(supervise, "STOPPED_S", 0.2)
     code = SOLVER + "os.kill(os.getpid(), signal.SIGSTOP)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=None, logs=False)
-    wait_until(child.overdue, "it is waited for")
+    wait_until(child.kill_if_overdue, "it is waited for")
     found = child.determine_outcome()
     assert found.outcome == "hung" and "stopped by a signal" in found.detail
 
