@@ -88,7 +88,7 @@ def test_what_was_killed_goes_on_as_if_nothing_was(
     before = CellStore(out)
     # The last batch that was stored may have had two cells.
     assert finished <= len(before.finished) <= finished + 1
-    times = before.rows()["raw_max_ns"].to_dict()
+    times = before.finished_runs()["raw_max_ns"].to_dict()
     run_campaign(suite, out)
     results = load_results(out)
     assert_same(out, undisturbed)
