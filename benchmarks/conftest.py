@@ -10,7 +10,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.bench.run.replay import reference_kernel_ns
+from dpbench.bench.run.replay import time_kernels
 from dpbench.mpc.condense import ControlProblem
 from dpbench.scenario.scenario import Scenario
 
@@ -45,10 +45,10 @@ def no_garbage_collection() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
     """The reference kernel before and after each benchmark."""
-    reference_kernel_ns(time.perf_counter_ns)
-    before = reference_kernel_ns(time.perf_counter_ns)
+    time_kernels(time.perf_counter_ns)
+    before = time_kernels(time.perf_counter_ns)
     yield
-    after = reference_kernel_ns(time.perf_counter_ns)
+    after = time_kernels(time.perf_counter_ns)
     benchmark.extra_info["reference_ns"] = min(before, after)
 
 

@@ -211,9 +211,9 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
         waiting = batches.setdefault(planned.cell.settings, {})
         waiting[run_id] = own, _changed(batch, factor, rng)
         if len(waiting) == BATCH_CELLS:
-            store.add(batch_part(batches.pop(planned.cell.settings)))
+            store.add_part(batch_part(batches.pop(planned.cell.settings)))
     for waiting in batches.values():
-        store.add(batch_part(waiting))
+        store.add_part(batch_part(waiting))
     return suite
 
 

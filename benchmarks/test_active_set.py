@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario, open_workspace
-from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
 from dpbench.qp.program import QPSequence
 
 
@@ -16,7 +16,7 @@ from dpbench.qp.program import QPSequence
 def sequence(request: pytest.FixtureRequest) -> QPSequence:
     """The first 200 QPs of a scenario."""
     scenario = load_scenario(request.param).first(200)
-    return sequence_of(scenario, solve_exactly(scenario))
+    return rebuild_sequence(scenario, solve_exactly(scenario))
 
 
 def bare_daqp(sequence: QPSequence) -> Callable[[], int]:

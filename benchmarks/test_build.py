@@ -12,7 +12,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, QPBuilder
+from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -131,7 +131,7 @@ def test_emit(
 def test_emit_as_timed(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """What `emit_ns` is of: the QP of a step, in the formulation that the solver gets."""
     builder = QPBuilder(scenario)
-    box, x, u_prev = Box(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
+    box, x, u_prev = BoxFormulation(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
     benchmark(lambda: box.step(builder.emit(0, x, u_prev)))
 
 

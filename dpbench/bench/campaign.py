@@ -24,12 +24,12 @@ from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
-from dpbench.bench.plan.run_request import Plan, RunRequest, plan_remarks
+from dpbench.bench.plan.run_request import Plan, RunRequest, list_plan_limits
 from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import Revision, current_revision, revisions
+from dpbench.bench.record.machine import Revision, append_revision, current_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
     load_descriptions,
@@ -49,12 +49,7 @@ from dpbench.solvers.table import check_availability
 
 
 class Campaign:
-    """One run of a plan into a folder; see `run_campaign`.
-
-    Parameters
-    ----------
-    machine : the one that cells run on, as `describe_machine` describes it.
-    """
+    """One run of a suite's cells into a result folder, which can be interrupted and continued."""
 
     def __init__(
         self,
@@ -71,10 +66,10 @@ class Campaign:
         self.attach_designs(designs, machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: check_availability(solver) for solver in solvers}
-        self.work = shard.of_jobs([self._make_job(p) for p in plan.cells])
+        self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
-            self.store.forget(RequestedRuns(self.work).jobs)
+            self.store.mark_unfinished(RequestedRuns(self.work).jobs)
             SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
         at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
@@ -84,37 +79,38 @@ class Campaign:
     def attach_designs(
         self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False
     ) -> None:
-        """Take over the designs of a machine."""
+        """Replace the controller designs to study by those keyed to the machine `machine_id`."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
     def _make_job(self, planned: PlannedCell) -> CellJob:
+        """Return the job of a planned cell, with its run_id and its solver library's version."""
         library = self._libraries[planned.cell.solver]
         identity = library_identity(planned.cell, library)
         run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
-        """Run unfinished cells and write the tables."""
+        """Run all unfinished cells and designs on an engine, then write the result tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
-        pending = self.pending()
+        pending = self.find_pending()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         progress.start(work)
-        if not work and self._is_written():
+        if not work and self._has_written_results():
             clear_places(self.store.folder)
             return
         engine.prepare(self.sources, pending, progress)
         dispatcher = Dispatcher(engine, self.sources, progress)
-        self._make_plots(dispatcher, pending)
+        self._make_capability_files(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
         for result in dispatcher.run(pending):
             self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
-        self.write(started_utc, time.monotonic() - started_s, engine.remarks)
+        self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
-    def pending(self) -> list[CellJob]:
-        """Return unfinished cells, and set the outcome of all others."""
+    def find_pending(self) -> list[CellJob]:
+        """Return the unfinished cells; set the outcome of refused and stored cells."""
         pending = []
         for job in self.work:
             if job.planned.refused:
@@ -126,25 +122,25 @@ class Campaign:
         return pending
 
     def _store_result(self, job: CellJob, result: Result) -> None:
-        """Store the result of a cell, which is lost where there is no room for it."""
+        """Store a cell's result on disk; its outcome is "lost" where there is no room for it."""
         job.outcome = result.outcome
         if result.part is None:
             return
         try:
-            self.store.add(result.part)
+            self.store.add_part(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
-    def _make_plots(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
-        """Make the files that hold capability plots; failures appear in their cells."""
+    def _make_capability_files(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
+        """Make the missing files of capability plots; a failure is shown in the file's cells."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
         cells = {self.sources.path(key): longest_cell(self._at_boundary[key]) for key in wanted}
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
         for _ in dispatcher.make_files(make_source, unmade):
             pass
 
-    def _is_written(self) -> bool:
-        """Return whether the folder has all that this campaign would write."""
+    def _has_written_results(self) -> bool:
+        """Return whether the result folder has all tables that this campaign would write."""
         try:
             found = load_descriptions(self._out)[1]
         except ResultsError:
@@ -156,26 +152,26 @@ class Campaign:
         return same and is_tabulated(self.work, self.store)
 
     def _request_document(self) -> dict[str, Any]:
-        """Return the request as in `suite.json`."""
+        """Return the entries of `suite.json` that describe the requested suite."""
         document = self._plan.document.model_dump()
         asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
         return asked if self._shard == WHOLE else asked | {"shard": str(self._shard)}
 
     def _earlier_revisions(self) -> list[Revision]:
-        """Return those of cells that an interrupted campaign left."""
+        """Return the dpbench revisions that an interrupted campaign noted in `suite.json`."""
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
         return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
-    def write(
+    def write_results(
         self,
         started: datetime,
         wall_s: float,
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write the tables of finished cells, and the remarks.
+        """Write all result files: runs, steps, designs, capability, `machine.json`, `suite.json`.
 
         `made_by` are the revisions of dpbench that ran the cells, if not this one.
         """
@@ -183,10 +179,10 @@ class Campaign:
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._request_document(),
-            "revisions": made_by or revisions(self._earlier_revisions(), current_revision()),
+            "revisions": made_by or append_revision(self._earlier_revisions(), current_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
-            **_accidents(runs, self.designs, remarks),
+            **_count_lost(runs, self.designs, remarks),
         }
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
@@ -194,7 +190,7 @@ class Campaign:
         self._write_capability()
 
     def _write_capability(self) -> None:
-        """Write the capability plots of the files behind their QPs."""
+        """Write `capability.parquet` from the files of capability plots; remove a stale one."""
         tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
@@ -203,12 +199,12 @@ class Campaign:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
-def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
-    """Return the entries of `suite.json` on the harness's own accidents."""
+def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
+    """Return the entries of `suite.json` with the number of lost cells and designs, and remarks."""
     causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
     lines = [
-        _lost_line(causes, f"{len(runs)} cells", ", not by their solvers"),
-        _lost_line(designs.lost, f"{len(designs)} designs"),
+        _describe_losses(causes, f"{len(runs)} cells", ", not by their solvers"),
+        _describe_losses(designs.lost, f"{len(designs)} designs"),
     ]
     return {
         "lost_cells": len(causes),
@@ -217,8 +213,8 @@ def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str])
     }
 
 
-def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
-    """Return a line with the number and causes of lost cells; "" without any."""
+def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
+    """Return a line on how many cells or designs were lost, and why; "" for none."""
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
@@ -230,14 +226,14 @@ def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
 
 
 def plan_suite_designs(plan: Plan) -> list[Design]:
-    """Return the designs of a whole suite; a part of it has none."""
+    """Return the controller designs of a whole suite; none where a part of it is run."""
     table = None if plan.part else plan.document.design
     with name_file_in_errors(plan.path):
         return plan_designs(table, plan.path.parent) if table else []
 
 
 def default_folder(plan: Plan, out: str | Path | None) -> Path:
-    """Return the result folder: `out`, or that of the plan's name."""
+    """Return the result folder: `out`, or `results/<name of the plan>` without one."""
     return Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
 
 
@@ -261,7 +257,7 @@ def run_campaign(
     may_leave_out: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
+    """Run a suite into a result folder and return its path.
 
     Parameters
     ----------
@@ -310,7 +306,7 @@ def run_campaign(
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
-    plan, some = asked.plan(), Shard.of_text(shard)
+    plan, some = asked.plan(), Shard.from_text(shard)
     designs = plan_suite_designs(plan) if some.index == 1 else []
     folder = default_folder(plan, out)
     progress = progress or Silent()
@@ -318,7 +314,7 @@ def run_campaign(
         open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
         lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
     ):
-        for remark in plan_remarks(plan.cells):
+        for remark in list_plan_limits(plan.cells):
             progress.remark(remark)
         campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):
@@ -327,7 +323,7 @@ def run_campaign(
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
-            record = ShardRecord(asked.from_anywhere(), some, plan.digest, opened.machine)
+            record = ShardRecord(asked.with_absolute_path(), some, plan.digest, opened.machine)
             record.write(folder)
         campaign.run(opened, progress)
     return folder

@@ -61,7 +61,7 @@ Holds = Callable[[Scenario, float, Sequence[float]], bool]
 
 @dataclass(frozen=True)
 class Bracket:
-    """Sway offsets at full size: all tried up to `holds_m` are held, `fails_m` is not.
+    """Sway offsets [m, full size] between which a controller stops recovering the ship.
 
     `holds_m` is 0 when the smallest is not held, `fails_m` None when all of them are.
     """
@@ -72,7 +72,7 @@ class Bracket:
 
 @dataclass(frozen=True)
 class DesignRecord:
-    """Result of a design.
+    """Closed-loop eigenvalues and held sway offsets of one controller in one vessel.
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ class DesignRecord:
 
     @property
     def spectral_radius(self) -> float:
-        """Largest modulus; below 1 the loop is stable without active limits."""
+        """Largest eigenvalue modulus; below 1 the loop is stable without active limits."""
         return float(np.hypot(*self.eigenvalues[0]))
 
 
 @dataclass(frozen=True)
 class MissingDesign:
-    """A design without a record, and the reason."""
+    """A controller and vessel without a design record, and the reason."""
 
     vessel: str
     controller: str
@@ -106,7 +106,7 @@ class MissingDesign:
 
 @dataclass(frozen=True)
 class Designs:
-    """Content of `design.json`."""
+    """Content of `design.json`: the design records, and those that are missing."""
 
     # A key too many or a number that is none is damage.
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -118,29 +118,24 @@ class Designs:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A design to study: `files` as in `Scenario.files`, in the weather of `calm`."""
+    """A controller in a vessel to study, as scenario documents with the weather of `calm`."""
 
     controller: str
     files: ScenarioDocuments
 
     @property
     def vessel(self) -> str:
-        """Name of the vessel."""
+        """Name of the vessel that the controller steers."""
         return str(self.files["vessel_name"])
 
     @property
     def text(self) -> str:
-        """All that its record depends on, but for version and machine."""
+        """JSON text of the design, which its record is keyed by."""
         return json.dumps(vars(self), sort_keys=True, ensure_ascii=False)
 
 
 def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Return every controller of the table in every vessel; paths are relative to `beside`.
-
-    Raises
-    ------
-    InputError : for an unknown or a bad file, or two of one name.
-    """
+    """Return each controller of a table in each vessel; InputError for a bad or repeated file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
     given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
@@ -150,14 +145,14 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
                 allowed = "files of different names, each once"
                 raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
     return [
-        Design(controller.name, _trial_files(controller, vessel))
+        Design(controller.name, _trial_documents(controller, vessel))
         for controller in controllers
         for vessel in vessels
     ]
 
 
-def _trial_files(controller: Scenario, vessel: Path) -> ScenarioDocuments:
-    """Return the documents of a controller in a vessel, in the weather of `calm`."""
+def _trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocuments:
+    """Return scenario documents with this controller, this vessel and the weather of `calm`."""
     own = controller.files["scenario"]
     files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
     trial = files["scenario"] | {
@@ -175,7 +170,7 @@ SIDES = (1.0, -1.0)
 
 
 def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
-    """Return whether the ship comes back from this offset at full size, from both sides.
+    """Return whether the ship recovers from a sway offset [m, full size] on every side.
 
     An offset with a step without a certified optimum does not count as held.
     """
@@ -195,10 +190,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
 
 
 def find_bracket(holds: Callable[[float], bool]) -> Bracket:
-    """Double the offset until one is not held, then bisect to `WIDTH`.
-
-    It is not narrowed when the smallest offset is not held.
-    """
+    """Return between which sway offsets recovery stops: double until it fails, then bisect."""
     held = 0.0
     for offset in OFFSETS_M:
         if not holds(offset):
@@ -216,8 +208,8 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
     return Bracket(held, fails)
 
 
-def design_record(design: Design) -> DesignRecord:
-    """Return the record of a design."""
+def study_design(design: Design) -> DesignRecord:
+    """Return the eigenvalues and held offsets of a design, in still water and in calm weather."""
     scenario, documents = build_scenario(design.files), design.files["scenario"]
     still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
     held = {
@@ -228,7 +220,7 @@ def design_record(design: Design) -> DesignRecord:
 
 
 def linear_record(scenario: Scenario) -> DesignRecord:
-    """Return the record of a scenario's controller without a trial (paper eq. 35)."""
+    """Return a controller's closed-loop eigenvalues, without simulated trials (paper eq. 35)."""
     problem = scenario.problem
     roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
@@ -242,8 +234,8 @@ def linear_record(scenario: Scenario) -> DesignRecord:
     )
 
 
-def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
-    """Return the bracket of the scenario's controller in its vessel in still water.
+def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Bracket:
+    """Return the sway offsets up to which a scenario's controller recovers in still water.
 
     `holds` tells of a trial, an offset [m] and its sides whether the ship comes back.
     """
@@ -258,15 +250,15 @@ def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
 
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Write the record of a design to `path`, in a process of its own."""
+    """Study one design in a process of its own and write its record to `path`."""
     pin_to_core(core)
     disable_gc_and_warnings()
-    _write_designs(path, Designs((design_record(Design(**json.loads(text))),)))
+    _write_designs(path, Designs((study_design(Design(**json.loads(text))),)))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:
-    """The designs of a suite; finished ones are stored in the folder `cells`.
+    """The designs of a suite; finished records are stored in the folder `cells`.
 
     `lost` has the cause of each design that an accident of the benchmark cost.
     """
@@ -289,11 +281,11 @@ class DesignStudy:
 
     @property
     def work(self) -> int:
-        """Remaining work, for the progress bar."""
+        """Remaining work in equivalent solver steps, for the progress bar."""
         return WORK * len(self._pending)
 
     def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
-        """Run the unfinished designs."""
+        """Study all designs without a stored record, in processes of their own."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
@@ -305,7 +297,7 @@ class DesignStudy:
             progress.advance(WORK, f"design {design.controller} {design.vessel}")
 
     def write(self, out: Path) -> None:
-        """Write `design.json`; no designs leave no file."""
+        """Write `design.json` into a result folder; remove it where no designs are studied."""
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
@@ -321,25 +313,21 @@ class DesignStudy:
 
 
 def _write_designs(path: Path, designs: Designs) -> None:
+    """Write design records to a JSON file."""
     write_json(path, asdict(designs))
 
 
 def _read_record(path: Path) -> DesignRecord | None:
-    """Return the record of a finished design; None where it is missing or damaged."""
+    """Return the stored record of a finished design; None where it is missing or damaged."""
     try:
-        (record,) = _read_designs(path).records
+        (record,) = _read_design_file(path).records
     except (ResultsError, ValueError):
         return None
     return record
 
 
 def load_designs(folder: Path) -> Designs | None:
-    """Read the `design.json` of a result folder; None where it is missing or older.
-
-    Raises
-    ------
-    ResultsError : naming file and key, when it is damaged.
-    """
+    """Return `design.json` of a result folder, None without it or if older; ResultsError if bad."""
     path = folder / DESIGN_FILE
     if not path.exists():
         return None
@@ -348,10 +336,11 @@ def load_designs(folder: Path) -> Designs | None:
         older = f"{path}: designs of schema {schema} are not shown; run again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
-    return _read_designs(path)
+    return _read_design_file(path)
 
 
-def _read_designs(path: Path) -> Designs:
+def _read_design_file(path: Path) -> Designs:
+    """Return the designs in a JSON file; ResultsError if damaged or of another schema."""
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"

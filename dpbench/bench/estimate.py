@@ -33,7 +33,7 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of steps and rows of a campaign.
+    """Step times [s] by configuration, and bytes per table row, for estimates of a campaign.
 
     `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
     """
@@ -44,8 +44,8 @@ class Rates:
     run_bytes: float = RUN_BYTES
 
     def seconds_of(self, cell: Cell) -> float:
-        """Return the time of a cell."""
-        step_s = self.steps_s.get(_kind(cell), STEP_S - JUDGE_STEP_S)
+        """Return the expected run time of a cell [s], by the measured or stated step times."""
+        step_s = self.steps_s.get(_kind_of_cell(cell), STEP_S - JUDGE_STEP_S)
         return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
 
@@ -56,7 +56,7 @@ STATED_RATES = Rates(
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate of a campaign.
+    """Expected run time, table size and number of cells of a campaign.
 
     Parameters
     ----------
@@ -79,23 +79,21 @@ class Estimate:
 
     @property
     def lines(self) -> list[str]:
-        """Lines to print."""
-        refused = f" and {_count(self.refused)} refused" if self.refused else ""
-        apart = f"; {_count(self.unmeasured)} more of capability plots" if self.unmeasured else ""
+        """Lines to print for `--dry-run`: cells, duration, table size, source of the rates."""
+        counts = self.cells, self.refused, self.unmeasured, self.steps
+        cells, refused, more, steps = (f"{count:,}".replace(",", " ") for count in counts)
+        without = f" and {refused} refused" if self.refused else ""
+        apart = f"; {more} more of capability plots" if self.unmeasured else ""
         return [
-            f"{_count(self.cells)} cells to run{refused}: {_count(self.steps)} recorded steps",
-            f"about {_duration(self.time_s)} on this machine, {self.slots} closed loops at a time, "
-            f"and {self.size_bytes / 1e6:.1f} MB of tables; without the report{apart}",
+            f"{cells} cells to run{without}: {steps} recorded steps",
+            f"about {_format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
+            f"a time, and {self.size_bytes / 1e6:.1f} MB of tables; without the report{apart}",
             f"by {self.rates}",
         ]
 
 
-def _count(number: int) -> str:
-    return f"{number:,}".replace(",", " ")
-
-
-def _duration(seconds: float) -> str:
-    """Return a text in the unit that leaves two or three digits."""
+def _format_duration(seconds: float) -> str:
+    """Return a duration [s] as text, in the unit that leaves two or three digits."""
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -103,16 +101,17 @@ def _duration(seconds: float) -> str:
 
 
 def count_recorded_steps(cell: Cell) -> int:
-    """Return the steps that a cell leaves in the tables."""
+    """Return the number of rows in `steps.parquet` that a cell leaves."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
-def _kind(cell: Cell) -> Kind:
+def _kind_of_cell(cell: Cell) -> Kind:
+    """Return a cell's mode and configuration, by which measured step times are kept."""
     return tuple(str(getattr(cell, name)) for name in _KIND)
 
 
 def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Estimate cells at these rates, without capability plots.
+    """Return the expected time and size of planned cells, without capability plots.
 
     `slots` are closed loops at a time; replays along a loop run one after the other.
     """
@@ -135,11 +134,12 @@ def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> 
 
 
 def read_rates(folder: Path) -> Rates:
-    """Read the rates of the runs in a result folder; `STATED_RATES` where it has none."""
+    """Return the step times measured in a result folder; `STATED_RATES` where it has none."""
     try:
         runs = load_results(folder, without_steps=True).runs
         tables = [folder / f"{name}.parquet" for name in ("runs", "steps")]
-        run_bytes, step_bytes = map(_bytes_of_row, tables)
+        rows = [max(1, int(pq.read_metadata(path).num_rows)) for path in tables]
+        run_bytes, step_bytes = (p.stat().st_size / n for p, n in zip(tables, rows, strict=True))
     except (ResultsError, OSError):
         return STATED_RATES
     runs = runs[runs["replay_s"].notna()]
@@ -151,10 +151,6 @@ def read_rates(folder: Path) -> Rates:
     return Rates(f"the runs in {folder}", steps_s, step_bytes, run_bytes)
 
 
-def _bytes_of_row(path: Path) -> float:
-    return path.stat().st_size / max(1, int(pq.read_metadata(path).num_rows))
-
-
 def estimate_campaign(
     suite: str | Path | None = None,
     out: str | Path | None = None,
@@ -163,12 +159,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Estimate `run_campaign` on this machine; `asked` are other arguments of it.
-
-    Raises
-    ------
-    InputError : as there, and for another engine than that of this machine.
-    """
+    """Return the expected time and size of a campaign on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()

@@ -43,7 +43,7 @@ def gather(
     suite: str | Path | None = None,
     solver_module: str | Path | None = None,
 ) -> Path:
-    """Write one result folder of those that `dpbench cells` wrote.
+    """Join result folders of `dpbench cells`, one per shard, into the result folder `out`.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def gather(
     """
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
-    plan, records = _make_plan(shards, suite, solver_module), list(shards.values())
+    plan, records = _make_common_plan(shards, suite, solver_module), list(shards.values())
     designs, remarks = plan_suite_designs(plan), _missing_shards(records)
     with lock_result_folder(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
         finished, ignored = _collect_cells(list(shards), Path(out), plan.name)
         remarks += ignored
-        machine, others = _rank_machines(records, finished)
+        machine, others = _choose_machine(records, finished)
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
@@ -81,19 +81,19 @@ def gather(
                 campaign.attach_designs(designs, record.machine["id"])
         said = {cell: outcome for folder in shards for cell, outcome in _read_unfinished(folder)}
         _apply_finished(campaign.work, finished, said, machine["id"])
-        campaign.pending()
+        campaign.find_pending()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
-        campaign.write(started_utc, time.monotonic() - started_s, remarks, made_by)
+        campaign.write_results(started_utc, time.monotonic() - started_s, remarks, made_by)
     return Path(out)
 
 
-def _make_plan(
+def _make_common_plan(
     shards: Mapping[Path, ShardRecord],
     suite: str | Path | None,
     solver_module: str | Path | None,
 ) -> Plan:
-    """Return the plan of all shards; InputError where there is none."""
+    """Return the plan that all shards are parts of; InputError where there is no common one."""
     where, first = next(iter(shards.items()))
     for folder, shard in shards.items():
         if shard.harness_version != HARNESS_VERSION:
@@ -106,11 +106,11 @@ def _make_plan(
             found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
             raise InputError(_WHERE, "", found, "its file, if you trust it, by --solver-module")
     # The same suite may lie elsewhere on each of their machines.
-    asked = next((one.asked for one in shards.values() if one.asked.is_here), first.asked)
+    asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
-    if not asked.is_here:
+    if not asked.has_suite:
         raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
     plan = asked.plan()
     if plan.digest != first.digest:
@@ -121,7 +121,7 @@ def _make_plan(
 
 
 def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
-    """Return a line on missing shards."""
+    """Return a remark that names the shards not among these folders; none if all are there."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
         found = " and ".join(f"shards of {count}" for count in sorted(counts))
@@ -132,23 +132,23 @@ def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
 
 
 def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows of all finished cells, copied into `out`, and remarks on the folders."""
+    """Copy all finished cells into `out`; return their rows, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
             stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        _refuse_versions(pd.concat([one.rows() for one in (store, *others)]))
+        _refuse_mixed_versions(pd.concat([one.finished_runs() for one in (store, *others)]))
         for other in others:
-            store.adopt(other)
+            store.copy_cells(other)
             for path in other.folder.iterdir():
                 # No link to other files.
                 if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
                     write_bytes(store.folder / path.name, path.read_bytes())
-        return store.rows(), [line for one in (store, *others) for line in one.remarks]
+        return store.finished_runs(), [line for one in (store, *others) for line in one.remarks]
 
 
-def _refuse_versions(rows: pd.DataFrame) -> None:
-    """Raise InputError for a solver of several versions or builds."""
+def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
+    """Raise InputError where cells of a solver ran with several versions or builds."""
     versions = rows["solver_version"].str.cat(rows["build"], " ").str.strip()
     for solver, alike in versions.groupby(rows["solver"]):
         if alike.nunique() > 1:
@@ -156,10 +156,10 @@ def _refuse_versions(rows: pd.DataFrame) -> None:
             raise InputError(_WHERE, str(solver), found, "one version of a solver")
 
 
-def _rank_machines(
+def _choose_machine(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
 ) -> tuple[MachineDescription, list[MachineDescription]]:
-    """Return the machine of most timed replays, or else of most cells; and the others."""
+    """Return the machine with the most timed replays, or else most cells; then the others."""
     known = {shard.machine["id"]: shard.machine for shard in shards}
     timed = finished.loc[finished["concurrency"].notna(), "machine_id"]
     counts = Counter(timed if len(timed) else finished["machine_id"])
@@ -170,7 +170,7 @@ def _rank_machines(
 
 
 def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
-    """Yield the descriptions and outcomes of cells that a shard could not finish."""
+    """Yield description and outcome of each cell that a shard lost or found invalid."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
@@ -187,7 +187,7 @@ def _apply_finished(
     said: Mapping[str, Outcome],
     machine_id: str,
 ) -> None:
-    """Give jobs the names of their rows, by the library and machine that ran them."""
+    """Set run_id, library and machine of each job from the row of its finished cell."""
     # Of a cell that ran on several machines, that on the machine of the folder.
     there = finished.iloc[(finished["machine_id"] == machine_id).argsort(kind="stable")]
     by_cell = dict(zip(there["cell"], there.index, strict=True))

@@ -4,32 +4,32 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Receiver of the progress of a campaign; `work` is in steps."""
+    """Receiver of a campaign's progress, such as a progress bar; `work` is in solver steps."""
 
     def start(self, work: int) -> None:
-        """Set the work to do."""
+        """Set a campaign's total work [solver steps]."""
 
     def advance(self, work: int, what: str) -> None:
-        """Add finished work, the last of it on `what`."""
+        """Add finished work [steps]; `what` names the latest part of it."""
 
     def remark(self, text: str) -> None:
-        """Show a remark."""
+        """Show a remark to the user."""
 
     def waiting(self, text: str) -> None:
-        """Show the reason of a wait, even where all else is silent."""
+        """Show why the campaign waits, even where the progress is silent otherwise."""
 
 
 class Silent:
-    """A progress that shows nothing."""
+    """A progress receiver that shows nothing."""
 
     def start(self, work: int) -> None:
-        """Show nothing."""
+        """Ignore the total work."""
 
     def advance(self, work: int, what: str) -> None:
-        """Show nothing."""
+        """Ignore finished work."""
 
     def remark(self, text: str) -> None:
-        """Show nothing."""
+        """Ignore a remark."""
 
     def waiting(self, text: str) -> None:
-        """Show nothing."""
+        """Ignore the reason of a wait."""

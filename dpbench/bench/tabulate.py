@@ -17,23 +17,23 @@ from dpbench.bench.record.cell_store import (
     Source,
     StepFile,
     filter_rows,
-    without_steps,
+    select_stepless,
 )
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
 from dpbench.bench.record.step_table import (
     DAMAGE,
     FILE_SCHEMA,
-    filter_runs,
-    frame_of_runs,
-    rename_runs,
-    table_of_runs,
+    filter_steps,
+    rename_steps,
+    runs_from_frame,
+    runs_to_frame,
 )
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The requested rows of a campaign, in order.
+    """The runs that a campaign was asked for, one row of `runs.parquet` each, in order.
 
     A cell whose settings have no effect has rows under each of its names.
     """
@@ -49,10 +49,10 @@ class RequestedRuns:
                 run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
-    def rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """Return one row each: a finished one, or the outcome of an unfinished one."""
+    def make_rows(self, finished: pd.DataFrame) -> pd.DataFrame:
+        """Return the row of each requested run; an unfinished one has only its outcome."""
         own = finished[finished.index.isin(self.jobs)]
-        aliases = self.aliases(finished)
+        aliases = self.find_aliases(finished)
         others = [
             self._unfinished_row(run_id, *job)
             for run_id, job in self.jobs.items()
@@ -65,7 +65,7 @@ class RequestedRuns:
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """Return the rows of cells under further names of their settings."""
+        """Return rows of finished cells again, under further names of the same settings."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
@@ -75,15 +75,15 @@ class RequestedRuns:
         )
 
     def _unfinished_row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
-        """Return the row of an unfinished cell."""
+        """Return the row of a cell without results: its description and outcome."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
         cell = job.cell.with_settings(settings)
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
-    def aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Return the finished runs behind rows that are to be made, by new run_id."""
+    def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
+        """Return new run_id: finished run_id, of runs whose settings have another name."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()
@@ -99,16 +99,13 @@ _SELECTION_COLUMNS = (
 
 
 def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
-    """Raise InputError where `out` has finished runs other than `cells`.
-
-    `remedy` is the advice in the error.
-    """
+    """Raise InputError where `out` has finished runs other than `cells`."""
     asked = {
-        (*_selection_of(planned.cell), settings)
+        (*_selection_key(planned.cell), settings)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
-    rows = frame_of_runs(PublicTables(out).table())
+    rows = runs_to_frame(PublicTables(out).read_rows())
     rows = rows[rows["outcome"] != "refused"]
     values = (
         rows[list(_SELECTION_COLUMNS)]
@@ -124,8 +121,8 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         raise InputError("--out", "", found, remedy)
 
 
-def _selection_of(cell: Cell) -> tuple[object, ...]:
-    """Return the values of `_SELECTION_COLUMNS` of a cell, less its settings."""
+def _selection_key(cell: Cell) -> tuple[object, ...]:
+    """Return the values that identify a cell whatever its version, machine and settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
@@ -133,41 +130,34 @@ def _selection_of(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Return whether the public tables are those that `tabulate` would make."""
+    """Return whether the stored tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
-    in_parts = {name for part in store.parts for name in part.table()["run_id"].to_pylist()}
-    return wanted == store.public.names() and not set(wanted) & in_parts
+    in_parts = {name for part in store.parts for name in part.read_rows()["run_id"].to_pylist()}
+    return wanted == store.public.run_ids() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
-    """Make the public tables of a campaign; cells that were not requested stay in parts.
-
-    Memory is that of two row groups, and of the rows of the runs.
-
-    Returns
-    -------
-    The rows of `runs.parquet`, and the number of those of `steps.parquet`.
-    """
+    """Write a campaign's `runs.parquet` and `steps.parquet`; return runs and number of steps."""
     wanted, old = RequestedRuns(work), list(store.parts)
-    stored, sources = store.collect()
-    finished = frame_of_runs(stored)
+    stored, sources = store.collect_rows()
+    finished = runs_to_frame(stored)
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
-        aliases = wanted.aliases(finished)
-        read = _sort_steps(store, stored, sources, wanted.jobs, aliases, steps)
+        aliases = wanted.find_aliases(finished)
+        read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
-        rows = with_loop_ratio(wanted.rows(finished)[list(RUN_COLUMNS)])
+        rows = with_loop_ratio(wanted.make_rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
-        store.public.write(table_of_runs(runs), steps)
+        store.public.write(runs_from_frame(runs), steps)
     finally:
         steps.close()
         steps.path.unlink(missing_ok=True)
-    store.remove(old)
+    store.remove_parts(old)
     return runs, steps.rows
 
 
-def _sort_steps(
+def _split_steps(
     store: CellStore,
     runs: pa.Table,
     sources: Mapping[str, Source],
@@ -175,24 +165,21 @@ def _sort_steps(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of `wanted` runs and their aliases, and keep all others in parts.
-
-    Returns the names of those that could be read.
-    """
+    """Write the steps of requested runs to one file, keep all others; return the runs read."""
     read: set[str] = set()
-    for group in store.groups(sources):
+    for group in store.find_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
         others = [name for name in group.names if name not in wanted]
-        if here or others or not steps.copy(group):
+        if here or others or not steps.copy_group(group):
             try:
-                table = group.table()
+                table = group.read_table()
             except DAMAGE:
                 continue
-            steps.add(filter_runs(table, set(group.names) - set(others)))
-            store.keep(filter_rows(runs, others), table)
+            steps.add(filter_steps(table, set(group.names) - set(others)))
+            store.add_rows(filter_rows(runs, others), table)
             for new, made_of in here.items():
-                steps.add(rename_runs(table, {made_of: new}))
+                steps.add(rename_steps(table, {made_of: new}))
         read |= set(group.names)
-    unasked = without_steps(runs, read.union(name for name in sources if name in wanted))
-    store.keep(unasked, FILE_SCHEMA.empty_table())
+    unasked = select_stepless(runs, read.union(name for name in sources if name in wanted))
+    store.add_rows(unasked, FILE_SCHEMA.empty_table())
     return read

@@ -20,7 +20,7 @@ from dpbench.bench.capability.study import (
     is_beyond_standard,
 )
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.capability_boundary import write_batch
+from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.cli.terminal import WIDTH, Bar
 from dpbench.errors import InputError
 from dpbench.report.formats import time_text
@@ -72,7 +72,7 @@ def _judge_solvers(
         frontier = CapabilityPlot(frontier.vessel, SIDES)
         with Bar(transient=True, quiet=quiet) as bar:
             capability = compute_capability(frontier, bar)
-    suite = write_batch(frontier, capability, out)
+    suite = write_capability_suite(frontier, capability, out)
     with Bar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))

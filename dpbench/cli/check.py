@@ -100,7 +100,7 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
     from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
 
-    of_suite = SuiteFile.tables_of_cells()
+    of_suite = SuiteFile.list_cell_tables()
     if not any(table in document for table in of_suite):
         raise InputError(
             str(file),

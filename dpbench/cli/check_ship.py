@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.design import OFFSETS_M, Bracket, held_in_still_water, is_held
+from dpbench.bench.design import OFFSETS_M, Bracket, find_still_water_bracket, is_held
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import rounded_down, rounded_up, significant
@@ -118,7 +118,7 @@ def _offset_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[
             progress.advance(1, f"sideways by {offset_m:g} m")
             return is_held(trial, offset_m, sides)
 
-        bracket = held_in_still_water(scenario, holds)
+        bracket = find_still_water_bracket(scenario, holds)
         progress.advance(_TRIALS - trials, "")
         controller = scenario.controller.label
         # Offsets are at full size; a model ship's own are printed.

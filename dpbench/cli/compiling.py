@@ -2,7 +2,7 @@
 
 import time
 
-from dpbench.bench.workers.child import LOOP, OWN, compile_in_processes, uncompiled_modules
+from dpbench.bench.workers.child import LOOP, OWN, compile_in_processes, list_uncompiled_modules
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario
@@ -11,7 +11,7 @@ from dpbench.solvers.open import open_workspace
 
 def compile_all() -> None:
     """Fill Numba's cache, and print how long it took; nothing where it is filled."""
-    absent = uncompiled_modules((OWN, LOOP))
+    absent = list_uncompiled_modules((OWN, LOOP))
     if not absent:
         return
     print("compiling the kernels, once after an installation: a minute or two", flush=True)

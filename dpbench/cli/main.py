@@ -274,11 +274,11 @@ def _export(arguments: argparse.Namespace) -> int:
 
     check_export_options(vars(arguments))
     if arguments.all:
-        from dpbench.bench.sequences.shipped import regenerate
+        from dpbench.bench.sequences.shipped import record_shipped_sequences
         from dpbench.cli.terminal import Bar
 
         with Bar(transient=True) as bar:
-            text = regenerate(arguments.out or "results/sequences", progress=bar)
+            text = record_shipped_sequences(arguments.out or "results/sequences", progress=bar)
     else:
         text = export(**_given(arguments, "all"))
     say(text.splitlines())

@@ -193,7 +193,7 @@ def replay(
     replaying = ReplayRun(
         steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
     )
-    replaying.rounds()
+    replaying.run_all_rounds()
     cell = _cell_of(
         workspace,
         mode="replay",

@@ -63,7 +63,7 @@ def test_both_kernels_are_timed_around_every_round() -> None:
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
     )
-    assert configuration.round(1)
+    assert configuration.run_round(1)
     assert (log.reference_kernel_ns[1] == 1).all() and (log.load_kernel_ns[1] == 1).all()
     assert not log.reference_kernel_ns[2].any() and not log.load_kernel_ns[2].any()
 
@@ -82,7 +82,7 @@ def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
         configuration = ReplayRun(
             made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0
         )
-        return (configuration.round(r) for r in (1, 1, 1, 2))
+        return (configuration.run_round(r) for r in (1, 1, 1, 2))
 
     began = next(ticks)
     assert list(configuration_of(10**9)) == [True] * 4

@@ -112,7 +112,7 @@ def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
     timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
     configuration = ReplayRun(made, timed_solver, log, warmup_steps=2, limit_ns=10**12, clock=clock)
     for r in (0, 1, 1, 2):
-        configuration.round(r)
+        configuration.run_round(r)
     assert log.attempts.tolist() == [1, 2, 1]
     found = disturbance_metrics(log)
     assert found["rerun_rounds"] == 1

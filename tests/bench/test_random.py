@@ -150,7 +150,7 @@ def test_an_impossible_recipe_of_a_suite_is_refused_before_anything_runs(tmp_pat
 
 def test_the_random_suite_has_all_families_and_sizes() -> None:
     _, shipped = load_suite("random")
-    recipes = [recipe for table in shipped.random for recipe in table.recipes()]
+    recipes = [recipe for table in shipped.random for recipe in table.list_recipes()]
     assert {recipe.family for recipe in recipes} == set(FAMILIES)
     assert {2, 120} <= {recipe.n for recipe in recipes}
     assert {0, 300} <= {recipe.m for recipe in recipes}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.design import find_bracket, held_in_still_water, is_held
+from dpbench.bench.design import find_bracket, find_still_water_bracket, is_held
 from dpbench.cli import check_ship
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
@@ -105,9 +105,9 @@ def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
         tried.append(tuple(sides))
         return is_held(trial, offset_m, sides)
 
-    one_side = held_in_still_water(scenario, holds)
+    one_side = find_still_water_bracket(scenario, holds)
     assert set(tried) == {(1.0,)}
-    both = held_in_still_water(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
+    both = find_still_water_bracket(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
     assert one_side == both
     assert both.fails_m is not None and 1.5 < both.holds_m < both.fails_m < 1.8
     assert both == find_bracket(lambda offset_m: offset_m <= both.holds_m)

@@ -16,7 +16,7 @@ from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
 from dpbench.bench.sequences.qpsolvers_files import read_problem
-from dpbench.bench.sequences.recording import source_digest
+from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file, read_bytes
@@ -35,7 +35,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "hull.mat": read_mss,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
-    "digest.npz": source_digest,
+    "digest.npz": hash_sequence_files,
     "kept.npz": _kept,
     "suite.json": read_json,
     "machine.json": lambda path: load_descriptions(path.parent),

@@ -20,7 +20,7 @@ from dpbench.bench.record.recorded_steps import ALL_COLUMNS
 from dpbench.bench.record.result_folder import load_results, read_accidents
 from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.shipped import stored_rules
+from dpbench.bench.sequences.shipped import load_rules
 from dpbench.report.report import Report
 from dpbench.scenario.hull_files import read_mss, read_table
 from dpbench.scenario.problem_files import problems_root
@@ -78,7 +78,7 @@ class Toml(Soaked):
         elif name.startswith("scenarios"):
             load_scenario(path)
         elif name.startswith("sequences"):
-            stored_rules(path)
+            load_rules(path)
         else:
             path, suite = load_suite(path)
             if rng.random() < 0.2:
@@ -161,8 +161,8 @@ class Shards(Soaked):
         store = CellStore(out)
         rows = json.loads(results.runs.to_json(orient="records"))
         steps = step_batch({"k": np.arange(5)})
-        store.add(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
-        store.add(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
+        store.add_part(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
+        store.add_part(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
         about = {"id": "abc", "cpu_model": "x"}
         ShardRecord(RunRequest(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
         self.files = _contents(out, "*.*")
@@ -181,8 +181,8 @@ class Shards(Soaked):
             sound = f"{path.name[:10]}-{zlib.crc32(path.read_bytes()):08x}.parquet"
             path.rename(path.with_name(sound))
         store = CellStore(folder)
-        store.rows()
-        CellStore(folder / "gathered").adopt(store)
+        store.finished_runs()
+        CellStore(folder / "gathered").copy_cells(store)
 
 
 class Hulls(Soaked):

@@ -7,7 +7,7 @@ import numpy as np
 import psutil
 import pytest
 
-from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.timed_solver import StepTimeLimitError, TimedSolver, is_usable
 from dpbench.errors import ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -254,7 +254,7 @@ def test_recovery_without_a_reset(configuration, sequence, fault, solve_qp, solv
 def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monkeypatch):
     """Driven as in a loop, the answers after a failed step are those the referee certifies."""
     workspace = configuration.open(**patience(configuration))
-    solver = TimedSolver(workspace, Box(sequence.base), time.perf_counter_ns)
+    solver = TimedSolver(workspace, BoxFormulation(sequence.base), time.perf_counter_ns)
     solver.prepare()
     first, bad, *after = sequence.steps[:5]
     assert solver.answer(solver.formulate(first)).status is Status.SOLVED

@@ -68,7 +68,7 @@ class Records:
 
     def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the step rows of a run, with some of `STEP_COLUMNS`; empty without steps."""
-        return self._steps.of(run.run_id, columns)
+        return self._steps.read_run(run.run_id, columns)
 
     def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the step rows of a run that count."""

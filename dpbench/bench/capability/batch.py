@@ -26,7 +26,7 @@ POINTS = 4
 
 @dataclass(frozen=True)
 class Point:
-    """One QP: the case, where the weather comes from [rad], the wind, and whether it is held."""
+    """A capability QP: failure case, weather direction [rad], wind [m/s], whether it is held."""
 
     case: Case
     from_rad: float
@@ -35,7 +35,7 @@ class Point:
 
 
 def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
-    """Return the points of all cases and directions, those of one direction in a row."""
+    """Return the QPs to pose at the wind limit of every failure case and direction."""
     return [
         point
         for case in frontier.cases
@@ -45,7 +45,7 @@ def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
 
 
 def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
-    """Return the `POINTS` points of one direction."""
+    """Return the `POINTS` winds around the wind limit of one failure case and direction."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):
         rows = range(number + 1 - POINTS, number + 1)
@@ -61,17 +61,14 @@ def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
 
 
 def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
-    """Return the QPs of the points, in their order; `frontier` has polygons.
-
-    P is constant; rows change with the pieces that are chosen.
-    """
+    """Return the static allocation QP of each capability point, in their order."""
     assert frontier.sides is not None, "a QP has polygons"
     allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
     problems = []
     for point in points:
         weather = frontier.weather(point.from_rad, point.wind_mps)
-        _, chosen = frontier.best(point.case, point.from_rad, point.wind_mps)
-        lost = frontier.lost(point.case)
+        _, chosen = frontier.best_choice(point.case, point.from_rad, point.wind_mps)
+        lost = frontier.lost_thrusters(point.case)
         problems.append(allocation.qp(weather.load, weather.shares, chosen, lost))
     q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
     rows = np.array([qp.A for qp in problems])
@@ -80,7 +77,7 @@ def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QP
 
 
 def _build_allocation(frontier: CapabilityPlot, cases: set[Case], sides: int) -> StaticAllocation:
-    """Return the allocation with room for the pieces of every case."""
+    """Return an allocation problem with room for the thrusters' pieces in every failure case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)
     pieces = [[piece for of_case in every for piece in of_case[i]] for i in range(count)]

@@ -30,7 +30,7 @@ Combination = tuple[Piece, ...]
 
 @dataclass(frozen=True)
 class Case:
-    """A failure: the numbers of the thrusters that give nothing."""
+    """A failure case: its name and the indices of the lost thrusters."""
 
     name: str
     lost: frozenset[int]
@@ -49,14 +49,14 @@ class WindLimit:
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """Mean load times the factor (3,) [N, N, N·m], and β_misc β_vent of each thruster (p,)."""
+    """Load (3,) [N, N, N·m] of one weather, and the thrust share (p,) its losses leave."""
 
     load: Vector
     shares: Vector
 
 
 class CapabilityPlot:
-    """Reach of the thrusters of a ship.
+    """Solver of the largest wind a ship's thrusters hold, by direction and failure case.
 
     Parameters
     ----------
@@ -79,20 +79,24 @@ class CapabilityPlot:
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
-        self.pieces_of, self.combinations = cache(self._pieces_of), cache(self._combinations)
+        self.pieces_of, self.combinations = (
+            cache(self._split_thrust_areas),
+            cache(self._list_combinations),
+        )
         # One wind is asked with many choices of pieces in a row.
-        self.weather = lru_cache(maxsize=64)(self._weather)
+        self.weather = lru_cache(maxsize=64)(self._compute_weather)
 
     @property
     def cases(self) -> list[Case]:
-        """Intact first, then the loss of each failure group."""
+        """The intact case, then the loss of each failure group."""
         groups = self.thrusters.groups.items()
         return [
             Case(INTACT, frozenset()),
             *(Case(name, frozenset(numbers)) for name, numbers in groups),
         ]
 
-    def _weather(self, from_rad: float, wind_mps: float) -> Weather:
+    def _compute_weather(self, from_rad: float, wind_mps: float) -> Weather:
+        """Return the load and thrust shares in wind, waves and current from `from_rad`."""
         condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
@@ -101,8 +105,8 @@ class CapabilityPlot:
         ]
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
-    def _pieces_of(self, case: Case) -> list[list[Piece]]:
-        """Return the convex pieces of each thruster (p,); one without any is lost."""
+    def _split_thrust_areas(self, case: Case) -> list[list[Piece]]:
+        """Return the convex pieces of each thrust area (p,); none for one without thrust."""
         every = self.thrusters.thrusters
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
@@ -120,52 +124,56 @@ class CapabilityPlot:
             for i, thruster in enumerate(every)
         ]
 
-    def lost(self, case: Case) -> frozenset[int]:
-        """Return the lost thrusters, and those that may not push anywhere."""
+    def lost_thrusters(self, case: Case) -> frozenset[int]:
+        """Return the indices of the lost thrusters and of those that may push in no direction."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def _combinations(self, case: Case) -> list[Combination]:
-        """Return every choice of a piece for each thruster."""
+    def _list_combinations(self, case: Case) -> list[Combination]:
+        """Return every choice of one convex piece for each thruster."""
         return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
 
-    def use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
-        """Return the least utilisation with one choice of pieces."""
+    def least_use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
+        """Return the least share of full thrust that holds a wind, for one choice of pieces."""
         weather = self.weather(from_rad, wind_mps)
-        return self._utilisation.least(weather.load, weather.shares, chosen, self.lost(case))
+        return self._utilisation.least_use(
+            weather.load, weather.shares, chosen, self.lost_thrusters(case)
+        )
 
-    def best(self, case: Case, from_rad: float, wind_mps: float) -> tuple[float, Combination]:
-        """Return the least utilisation of all choices, and the choice."""
+    def best_choice(
+        self, case: Case, from_rad: float, wind_mps: float
+    ) -> tuple[float, Combination]:
+        """Return the least share of full thrust that holds a wind, and the choice that needs it."""
         uses = [
-            (self.use(case, from_rad, wind_mps, chosen), chosen)
+            (self.least_use(case, from_rad, wind_mps, chosen), chosen)
             for chosen in self.combinations(case)
         ]
         return min(uses, key=lambda use: use[0])
 
     def find_wind_limit(self, case: Case, from_rad: float) -> WindLimit:
-        """Return the largest wind that is balanced, with all winds of the table below it."""
+        """Return the largest wind held, with all weaker winds of the standard's table held too."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
-            uses = (self.use(case, from_rad, wind_mps, chosen) for chosen in choices)
+            uses = (self.least_use(case, from_rad, wind_mps, chosen) for chosen in choices)
             holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
             if holding is None:
                 return WindLimit(
-                    self._largest_wind(case, from_rad, (low, wind_mps), choices), number
+                    self._solve_wind_limit(case, from_rad, (low, wind_mps), choices), number
                 )
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
         return WindLimit(low, number)
 
-    def _largest_wind(
+    def _solve_wind_limit(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
-        """Return the wind at which the best choice reaches full thrust."""
+        """Return the wind [m/s] within `between` at which the best choice needs full thrust."""
         low, high = between
         for chosen in choices:
 
             def missing(wind_mps: float, chosen: Combination = chosen) -> float:
-                return min(self.use(case, from_rad, wind_mps, chosen), 10.0) - 1.0
+                return min(self.least_use(case, from_rad, wind_mps, chosen), 10.0) - 1.0
 
             if missing(low) < 0.0:
                 low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))

@@ -15,7 +15,7 @@ FROM_DEG = tuple(360.0 * k / DIRECTIONS for k in range(DIRECTIONS))
 
 @dataclass(frozen=True)
 class Capability:
-    """The winds that a ship holds from each of `FROM_DEG`.
+    """Wind limits of a ship from each direction of `FROM_DEG`, by failure case.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Capability:
 
     @property
     def worst_failure(self) -> tuple[WindLimit, ...]:
-        """The least that is held after any failure, by direction."""
+        """The lowest wind limit after any failure, by direction."""
         failures = [held for case, held in self.held.items() if case != INTACT]
         return tuple(
             min(at_once, key=lambda held: held.wind_mps) for at_once in zip(*failures, strict=True)
@@ -40,17 +40,17 @@ class Capability:
 
     @property
     def numbers(self) -> tuple[int, int, int, int]:
-        """Least numbers: intact near the bow, all round, and after the worst failure."""
+        """Least DP capability numbers near the bow and all round: intact, then failed."""
         return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
 
     @property
     def notation(self) -> str:
-        """`numbers` as the standard writes them (2.5.1)."""
+        """The four DP capability numbers in the standard's notation (2.5.1)."""
         return f"DP capability-L1({', '.join(map(str, self.numbers))})"
 
 
 def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
-    """Return the least number within `BOW_DEG` of the bow, and all round."""
+    """Return the least DP capability number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number
         for at, from_deg in zip(held, FROM_DEG, strict=True)
@@ -60,7 +60,7 @@ def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
 
 
 def compute_capability(frontier: CapabilityPlot, progress: Progress | None = None) -> Capability:
-    """Return the capability within a frontier; ArithmeticError if the cone solver fails."""
+    """Return the wind limits from all directions; ArithmeticError if the cone solver fails."""
     progress, cases = progress or Silent(), frontier.cases
     progress.start(len(cases) * DIRECTIONS)
     held: dict[str, tuple[WindLimit, ...]] = {}
@@ -76,5 +76,5 @@ def compute_capability(frontier: CapabilityPlot, progress: Progress | None = Non
 
 
 def is_beyond_standard(held: WindLimit) -> bool:
-    """Return whether the standard has no weather beyond what is held."""
+    """Return whether a wind limit is in the last row of the standard's weather table."""
     return held.number == max(DP_CONDITIONS)

@@ -41,12 +41,7 @@ direction of the weather; wind of the QP and whether it is held; largest wind he
 def capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
-    """Return the columns of `COLUMNS`, as JSON has them, of one plot.
-
-    Parameters
-    ----------
-    capability : with polygons; points : `all_points` of it.
-    """
+    """Return one capability plot as columns of `capability.parquet`, with values for JSON."""
     direction = {round(from_deg, 6): k for k, from_deg in enumerate(FROM_DEG)}
     rows = []
     for k, point in enumerate(points):
@@ -63,14 +58,14 @@ def capability_columns(
 
 
 def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
-    """Write the plots into a result folder."""
+    """Write capability plots to `capability.parquet` in a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
     with replace_file(out / CAPABILITY_FILE) as part:
         frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
 def load_capability(folder: Path) -> pd.DataFrame | None:
-    """Return the plots of a result folder, None without any; ResultsError if damaged."""
+    """Return `capability.parquet` of a result folder, None without one; ResultsError if damaged."""
     path = folder / CAPABILITY_FILE
     if not path.exists():
         return None

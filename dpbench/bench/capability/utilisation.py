@@ -28,13 +28,13 @@ _EMPTY = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
 @cache
-def _clarabel() -> Any:
-    """Import the library, which ships no types; forked processes start without it."""
+def _import_clarabel() -> Any:
+    """Import and return the cone solver Clarabel, only when it is first needed."""
     return import_module("clarabel")
 
 
 class Utilisation:
-    """Cone programs of one ship; even `sides` of polygons, or None for circles."""
+    """Cone programs for the least thrust that balances a load; circles where `sides` is None."""
 
     def __init__(self, thrusters: ThrusterSet, sides: int | None = None) -> None:
         self._thrusters, self._sides = thrusters, sides
@@ -43,15 +43,15 @@ class Utilisation:
             compute_balance_units(thrusters),
         )
         self._cones: dict[tuple[frozenset[int], tuple[int, ...]], _Cones] = {}
-        settings = _clarabel().DefaultSettings()
+        settings = _import_clarabel().DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
         self._settings = settings
 
-    def least(
+    def least_use(
         self, load: Vector, shares: Vector, chosen: tuple[Piece, ...], lost: frozenset[int]
     ) -> float:
-        """Return u for a load (3,) [N, N, N·m]; inf where no amount of thrust balances it.
+        """Return the least u that balances a load (3,) [N, N, N·m]; inf where no thrust does.
 
         Parameters
         ----------
@@ -64,10 +64,10 @@ class Utilisation:
         if not cones.entries.size:
             return np.inf if load.any() else 0.0
         balance = (self._thrusters.per_entry(shares) * self._balance)[:, cones.entries]
-        A, b = cones.matrix(balance), cones.zeros.copy()
+        A, b = cones.insert_balance(balance), cones.zeros.copy()
         b[:AXES] = -load / self._units
         problem = cones.quadratic, cones.cost, A, b, cones.kinds
-        solution = _clarabel().DefaultSolver(*problem, self._settings).solve()
+        solution = _import_clarabel().DefaultSolver(*problem, self._settings).solve()
         status = str(solution.status)
         if status in _SOLVED:
             return float(solution.x[-1])
@@ -77,7 +77,7 @@ class Utilisation:
 
 
 class _Cones:
-    """Common parts of the programs of one choice of pieces: min x_u with b − A x in the cones.
+    """Constant parts of the cone programs of one choice of pieces: min x_u, b − A x in the cones.
 
     x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, the only part of
     it that changes.
@@ -95,7 +95,7 @@ class _Cones:
         places = [np.arange(thrusters.n_f)[thrusters.slices[i]] for i in alive]
         self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
         width = len(self.entries) + 1
-        blocks, kinds, first = [], [_clarabel().ZeroConeT(AXES)], 0
+        blocks, kinds, first = [], [_import_clarabel().ZeroConeT(AXES)], 0
         for i, place in zip(alive, places, strict=True):
             rows, cones = _cone_rows(thrusters.thrusters[i], chosen[i], sides)
             wide = np.zeros((len(rows), width))
@@ -110,29 +110,31 @@ class _Cones:
         self._matrix = csc_matrix(whole)
         self._of_balance = self._matrix.indices < AXES
 
-    def matrix(self, balance: Matrix) -> csc_matrix:
-        """Return A with the balance (3, entries); the same object each time."""
+    def insert_balance(self, balance: Matrix) -> csc_matrix:
+        """Return A with the balance rows (3, entries) inserted; the same object each time."""
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
 
 
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
-    """Return rows (r, components + 1) over (f_i/T_i, u) and their cones."""
+    """Return one thruster's rows (r, components + 1) over (f_i/T_i, u), and their cones."""
     if thruster.kind != "azimuth":
-        return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [_clarabel().NonnegativeConeT(2)]
+        return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [
+            _import_clarabel().NonnegativeConeT(2)
+        ]
     if sides is None:
         circle = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        cones = [_clarabel().SecondOrderConeT(3)]
+        cones = [_import_clarabel().SecondOrderConeT(3)]
     else:
         angle = (2.0 * np.arange(sides) + 1.0) * np.pi / sides
         most = np.full(sides, np.cos(np.pi / sides))
         circle = np.column_stack((-np.cos(angle), -np.sin(angle), most))
-        cones = [_clarabel().NonnegativeConeT(sides)]
+        cones = [_import_clarabel().NonnegativeConeT(sides)]
     cuts = np.column_stack((-piece.chords[:, :2], piece.chords[:, 2:]))
     if piece.sector is not None:
         cuts = np.vstack(
             [np.column_stack((compute_sector_normals(*piece.sector), np.zeros(2))), cuts]
         )
     if len(cuts):
-        cones.append(_clarabel().NonnegativeConeT(len(cuts)))
+        cones.append(_import_clarabel().NonnegativeConeT(len(cuts)))
     return np.vstack([circle, cuts]), cones

@@ -24,7 +24,7 @@ from distributed.security import Security
 from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.workers.child import hidden_main_module
+from dpbench.bench.workers.child import hide_main_module
 from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
@@ -52,35 +52,30 @@ LOOPBACK = "127.0.0.1"
 
 
 class _WithoutHttp:
-    """A node of Dask without its HTTP pages, which have no TLS and no option to turn off."""
+    """A Dask node without HTTP pages, which have no TLS and no option to turn them off."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
-        """Start nothing."""
+        """Start no HTTP server."""
 
 
 class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here
-    """The scheduler of a cluster of this machine."""
+    """The scheduler of a Dask cluster started on this machine."""
 
 
 class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped here
-    """A worker of a cluster of this machine."""
+    """A worker of a Dask cluster started on this machine."""
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
-        """End the task first: Dask would wait for it, then kill it with its surroundings."""
+        """Interrupt the running task, then close; Dask would wait for it and then kill it."""
         end_tasks()
         return await super().close(*args, **kwargs)
 
 
 @contextmanager
 def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """Connect a client to a scheduler; InputError where none answers, or refuses it.
-
-    Parameters
-    ----------
-    tls : by default as in Dask's configuration.
-    """
+    """Connect a client to a Dask scheduler; InputError where none answers or it refuses."""
     with _silence_dask():
-        security = Security() if tls is None else _security(address, tls)
+        security = Security() if tls is None else _build_security(address, tls)
         try:
             _check_reachable(address)
         except (OSError, ValueError) as error:
@@ -102,7 +97,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
 
 
 def _check_reachable(address: str) -> None:
-    """Raise OSError or ValueError where nobody listens, which a client finds out late."""
+    """Raise OSError or ValueError where nobody listens at a scheduler's address."""
     scheme, place = parse_address(address)
     get_backend(scheme)
     with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
@@ -110,14 +105,14 @@ def _check_reachable(address: str) -> None:
 
 
 async def _connect_once(address: str, security: Security) -> None:
-    """Connect once, as a refused client leaves threads behind."""
+    """Try one connection and close it: a refused Dask client would leave threads behind."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
     await comm.close()
 
 
-def _security(address: str, tls: TlsFiles) -> Security:
-    """Return the TLS set-up of a client; InputError for wrong files."""
+def _build_security(address: str, tls: TlsFiles) -> Security:
+    """Return a Dask client's TLS set-up; InputError for wrong certificate or key files."""
     if not address.startswith("tls://"):
         found = f"files with {WHERE} {address}"
         raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, where the scheduler has TLS")
@@ -142,12 +137,12 @@ def _security(address: str, tls: TlsFiles) -> Security:
 
 @contextmanager
 def start_own_cluster(workers: int) -> Iterator[Client]:
-    """Start so many workers on this machine, one of which times replays."""
+    """Start a Dask cluster of `workers` processes on this machine; one may time replays."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
         with delay_signals():
-            client = stack.enter_context(_own_cluster(workers))
+            client = stack.enter_context(_open_own_cluster(workers))
         yield client
     finally:
         with delay_signals():
@@ -155,10 +150,11 @@ def start_own_cluster(workers: int) -> Iterator[Client]:
 
 
 @contextmanager
-def _own_cluster(workers: int) -> Iterator[Client]:
+def _open_own_cluster(workers: int) -> Iterator[Client]:
+    """Start scheduler and workers of a Dask cluster on this machine; yield its client."""
     with (
         _silence_dask(),
-        hidden_main_module(),
+        hide_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,
@@ -188,7 +184,7 @@ def _own_cluster(workers: int) -> Iterator[Client]:
 
 
 class Cluster:
-    """The workers of a cluster that run cells, as they come and go.
+    """The workers of a Dask cluster that can run cells, as they come and go.
 
     Parameters
     ----------
@@ -227,7 +223,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Update the workers; return a remark on each refused one.
+        """Read the current workers from the scheduler; return a remark on each refused one.
 
         Nothing changes where the scheduler does not answer, or has none.
         """
@@ -236,8 +232,8 @@ class Cluster:
         except OSError:
             return []
 
-    def is_connected_again(self) -> bool:
-        """Wait for the scheduler to return with a worker; false if it does not."""
+    def wait_for_reconnection(self) -> bool:
+        """Wait until the scheduler is back with a worker; return False where it stays away."""
         deadline = time.monotonic() + RETURN_S
         while time.monotonic() < deadline and self.client.status != "closed":
             with suppress(OSError):
@@ -247,7 +243,7 @@ class Cluster:
         return False
 
     def _update_workers(self) -> list[InputError]:
-        """Update the workers; return the reasons why new ones are refused."""
+        """Read the current workers from the scheduler; return an error for each refused one."""
         if self.client.status != "running":
             return []
         workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
@@ -274,7 +270,7 @@ class Cluster:
 
 
 def _check_worker(address: str, answer: object) -> WorkerInfo:
-    """Return the information of a worker; InputError where it cannot run cells."""
+    """Return a worker's answer as its properties; InputError where it cannot run cells."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")
@@ -290,7 +286,7 @@ def _check_worker(address: str, answer: object) -> WorkerInfo:
 
 @contextmanager
 def _silence_dask() -> Iterator[None]:
-    """Silence Dask on lost workers and connections, which a campaign reports itself."""
+    """Silence Dask's log messages in the block, as campaigns report lost workers themselves."""
     loggers = [logging.getLogger("tornado.application"), logging.getLogger("distributed")]
     quiet: list[logging.Logger | logging.Handler] = [loggers[0], *loggers[1].handlers]
     levels = [one.level for one in quiet]

@@ -54,8 +54,10 @@ NOT_ALONE = (
 )
 
 
-def dask_engine(scheduler: str | None, workers: int, tls: TlsFiles | None = None) -> DaskEngine:
-    """Open the engine of a scheduler's workers, or of so many on this machine."""
+def open_dask_engine(
+    scheduler: str | None, workers: int, tls: TlsFiles | None = None
+) -> DaskEngine:
+    """Open an engine on a scheduler's workers, or on a new cluster of `workers` on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:
         until_connected.push(engine)
@@ -66,10 +68,7 @@ def dask_engine(scheduler: str | None, workers: int, tls: TlsFiles | None = None
 
 
 class DaskEngine(ExitStack):
-    """Runs cells on the workers of a cluster; an `Engine`.
-
-    `workers` are started on this machine, unless it is connected to others.
-    """
+    """An engine that runs batches of cells as tasks on the workers of a Dask cluster."""
 
     def __init__(self, workers: int) -> None:
         super().__init__()
@@ -83,20 +82,21 @@ class DaskEngine(ExitStack):
         self._forget_tasks()
 
     def _forget_tasks(self) -> None:
+        """Drop all submitted tasks and the sources that exist on workers."""
         self._in_flight: dict[str, Batch] = {}
         self._sources: dict[str, Future] = {}  # by the path of their file
         self._given_to: dict[str, frozenset[str]] = {}  # the workers that each task may run on
         self._ended = SimpleQueue[Future]()
 
     def connect(self, scheduler: str, tls: TlsFiles | None) -> None:
-        """Use the workers of a scheduler; InputError where that is impossible."""
+        """Connect to the workers of a Dask scheduler; InputError where that is impossible."""
         client = self.enter_context(connect_client(scheduler, tls))
         self._where = f"at {scheduler}"
         self._cluster = Cluster(client)
         self.machine = self._cluster.machine
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start workers, where there are none."""
+        """Start workers unless connected to some; remark on limits of their timing."""
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
@@ -112,21 +112,21 @@ class DaskEngine(ExitStack):
 
     @property
     def slots(self) -> int:
-        """Tasks that the workers run at a time."""
+        """Number of tasks that the workers run at a time."""
         return self.cluster.slots
 
     @property
     def cluster(self) -> Cluster:
-        """The workers."""
+        """The Dask cluster that runs the cells."""
         assert self._cluster is not None, "it is prepared"
         return self._cluster
 
     def capacity(self, *, timed: bool) -> int:
-        """Return enough for all workers, which wait where one of a machine times."""
+        """Return how many batches to submit ahead, enough for all workers."""
         return BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Submit a batch to the scheduler."""
+        """Submit a batch as a task to the Dask scheduler."""
         self._require_connection()
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
@@ -139,7 +139,7 @@ class DaskEngine(ExitStack):
         future.add_done_callback(self._ended.put)
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for the next batch, some seconds at most."""
+        """Wait some seconds for a completed batch; yield it with its results."""
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
             self._refresh()
         try:
@@ -148,19 +148,19 @@ class DaskEngine(ExitStack):
             return
         batch = self._in_flight.pop(future.key)
         self._given_to.pop(future.key, None)
-        yield batch, self._results(batch, future)
+        yield batch, self._read_results(batch, future)
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Return true, as nobody else has its bytes."""
+        """Return True: Dask makes a source again where it is lost with its worker."""
         return True
 
     def release_source(self, key: str) -> None:
-        """Release its bytes."""
+        """Let Dask free the bytes of a source on its workers."""
         if source := self._sources.pop(str(self._files.path(key)), None):
             self._given_to.pop(source.key, None)
 
     def _refresh(self) -> None:
-        """Update the workers; HandOverError where all that some task may run on are gone."""
+        """Read the current workers; HandOverError where all those of some task are gone."""
         for remark in self.cluster.refresh():
             self._progress.remark(remark)
         self._refreshed_s = time.monotonic()
@@ -171,13 +171,13 @@ class DaskEngine(ExitStack):
             self._forget_tasks()
             raise HandOverError("no worker is left of those that a task was given to")
 
-    def _results(self, batch: Batch, future: Future) -> Sequence[Result]:
-        """Return the results of a task; none where its workers died."""
+    def _read_results(self, batch: Batch, future: Future) -> Sequence[Result]:
+        """Return the results of a completed task; none where its workers died."""
         try:
             returned = future.result()
         except CancelledError as error:
             # Nobody else lets a task go: it went with the connection, and all others did.
-            raise self._lost_connection() from error
+            raise self._wait_for_connection() from error
         except KilledWorker:
             return []
         except Exception as error:  # kept in the rows of its cells; others go on
@@ -192,18 +192,20 @@ class DaskEngine(ExitStack):
         return list_outcomes(returned)
 
     def _require_connection(self) -> None:
+        """Raise HandOverError or EngineGoneError where the scheduler is not connected."""
         if self.cluster.client.status != "running":
-            raise self._lost_connection()
+            raise self._wait_for_connection()
 
-    def _lost_connection(self) -> HandOverError | EngineGoneError:
-        """Wait until Dask has connected this client again, or has given up."""
+    def _wait_for_connection(self) -> HandOverError | EngineGoneError:
+        """Wait for a lost scheduler; return the error to raise: hand over again, or engine gone."""
         self._forget_tasks()
-        if not self.cluster.is_connected_again():
+        if not self.cluster.wait_for_reconnection():
             return EngineGoneError(f"the scheduler {self._where} went away")
         self._refresh()
         return HandOverError("the connection was lost for a while")
 
     def _submit_cells(self, batch: CellBatch) -> Future:
+        """Submit a batch of cells as a task, with the sources of their QPs."""
         alone = batch.is_timed and self.cluster.exclusive
         return self._submit(
             run_cells,
@@ -219,7 +221,7 @@ class DaskEngine(ExitStack):
         )
 
     def _submit_sources(self, batch: FileBatch) -> Future:
-        """Submit sources that stay where they are made; only outcomes come back."""
+        """Submit tasks that make sources and keep them on workers; return their outcomes' task."""
         made: dict[str, Future] = {}
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
@@ -236,13 +238,14 @@ class DaskEngine(ExitStack):
         return self._submit(list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
+        """Submit one task that makes files from the descriptions `texts`."""
         named = {str(path): text for path, text in texts.items()}
         args = self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
         return self._submit(make_files, *args, isolated=batch.isolated, name=name, retries=RETRIES)
 
     def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
-        """Submit a task to the workers that may have it."""
+        """Submit a function call under a unique name to the workers that can run cells."""
         self._require_connection()
         key = f"{name}-{next(self._names)}"
         if not self.cluster.is_own:
@@ -251,7 +254,7 @@ class DaskEngine(ExitStack):
 
 
 def _read_source(cell: Cell, path: Path) -> MadeFile:
-    """Read the file behind the QPs of a cell, made here where it is missing."""
+    """Return the source file behind a cell's QPs as bytes, made here where it is missing."""
     if not is_readable(cell, path):
         try:
             source_file(cell).make(path)

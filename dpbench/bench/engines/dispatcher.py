@@ -21,12 +21,12 @@ from dpbench.bench.workers.jobs import (
     Kind,
     Result,
     Target,
-    batch_seconds,
-    cell_batches,
     cell_label,
+    choose_batch_seconds,
     count_steps,
     cut_into_groups,
     group_by_source,
+    split_into_batches,
 )
 from dpbench.bench.workers.worker import make_source
 
@@ -40,7 +40,7 @@ DIED = "every worker that it was given to died"
 
 
 class Dispatcher:
-    """Runs cells and makes files on an engine."""
+    """Dispatcher of cells and files to an engine, with their sources, retries and progress."""
 
     def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
         self._engine, self._sources, self._progress = engine, sources, progress
@@ -54,34 +54,34 @@ class Dispatcher:
         self._retried = set[str]()
 
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
-        """Run cells; yield the result of each, once."""
+        """Run all cells on the engine; yield exactly one result per cell."""
         self._uses = Counter(job.source_key for job in jobs)
         for kind, alike in _split_by_kind(jobs):
             self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
-            self._waiting.extend(cell_batches(kind, alike, self._engine.slots))
-            for batch, results in self._completed():
+            self._waiting.extend(split_into_batches(kind, alike, self._engine.slots))
+            for batch, results in self._complete_batches():
                 if isinstance(batch, CellBatch):
-                    yield from self._take_results(batch, results)
+                    yield from self._filter_results(batch, results)
                 else:
-                    self._take_sources(results)
+                    self._record_sources(results)
 
     def make_files(
         self, target: Target, texts: Mapping[Path, str], *, limit_s: float | None = None
     ) -> Iterator[tuple[Path, Outcome]]:
-        """Make files in processes of their own, within `limit_s` each; yield outcomes."""
+        """Make files in processes of their own, each within `limit_s`; yield path and outcome."""
         self._ready.extend(FileBatch(target, {path: text}, limit_s) for path, text in texts.items())
-        for _, results in self._completed():
+        for _, results in self._complete_batches():
             for result in results:
                 yield Path(result.run_id), result.outcome
 
-    def _completed(self) -> Iterator[Completed]:
-        """Hand over all batches; yield each with its final results."""
+    def _complete_batches(self) -> Iterator[Completed]:
+        """Run all queued batches on the engine; yield each with its final results."""
         while True:
             try:
                 self._request_sources()
-                yield from self._unblock()
-                self._hand_over()
+                yield from self._unblock_batches()
+                self._submit_ready()
                 if not (self._in_flight or self._waiting or self._blocked or self._isolated):
                     return
                 for batch, results in self._engine.completed() if self._in_flight else ():
@@ -93,7 +93,7 @@ class Dispatcher:
                 yield from self._give_up(str(error))
 
     def _request_sources(self) -> None:
-        """Request the sources of the next batches, as many as may exist at a time."""
+        """Queue the sources that the next batches need, as many as may exist at a time."""
         idle = not (self._ready or self._in_flight)
         if self._isolated and idle:
             batch = self._isolated.popleft()
@@ -107,7 +107,8 @@ class Dispatcher:
             return
         limit, keys = SOURCE_STEPS * self._engine.slots, list[str]()
         while self._waiting:
-            new = [key for key in self._waiting[0].source_keys if self._is_new(key)]
+            known = self._made | self._being_made | self._failed.keys()
+            new = [key for key in self._waiting[0].source_keys if key not in known]
             others = self._ready or self._in_flight or self._blocked
             if new and others and sum(self._open_steps.values()) >= limit:
                 break
@@ -115,22 +116,19 @@ class Dispatcher:
             self._being_made.update(new)
             self._open_steps |= {key: longest_cell(self._of_key[key]).last_step for key in new}
             keys += new
-        self._ready.extend(self._source_batches(keys))
+        self._ready.extend(self._batch_sources(keys))
 
-    def _is_new(self, key: str) -> bool:
-        return not (key in self._made or key in self._being_made or key in self._failed)
-
-    def _source_batches(self, keys: Sequence[str]) -> Iterator[FileBatch]:
-        """Yield batches of sources, each as long as its longest cell needs."""
+    def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
+        """Yield batches that make sources, each long enough for the longest cell that uses it."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
-        size_s = batch_seconds(sum(seconds.values()), self._engine.slots)
+        size_s = choose_batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):
             cells = {self._sources.path(key): longest_cell(self._of_key[key]) for key in group}
             texts = {path: cell.to_json() for path, cell in cells.items()}
             yield FileBatch(make_source, texts, are_sources=True)
 
-    def _unblock(self) -> Iterator[Completed]:
-        """Move batches with made sources to the queue; yield cells of failed ones."""
+    def _unblock_batches(self) -> Iterator[Completed]:
+        """Queue batches whose sources are all made; yield results for cells of failed sources."""
         blocked, self._blocked = self._blocked, []
         for batch in blocked:
             if not self._being_made.isdisjoint(batch.source_keys):
@@ -144,20 +142,22 @@ class Dispatcher:
             if batch.jobs:
                 self._ready.append(batch)
 
-    def _hand_over(self) -> None:
+    def _submit_ready(self) -> None:
+        """Submit queued batches to the engine while they may run beside those in flight."""
         while self._ready and self._may_run_beside(self._ready[0]):
             self._engine.submit(self._ready[0])
             self._in_flight.add(self._ready.popleft())
 
     def _may_run_beside(self, batch: Batch) -> bool:
-        """Return whether a batch may run beside those that the engine has."""
+        """Return whether a batch may run at the same time as those the engine already has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))
         room = len(self._in_flight) < self._engine.capacity(timed=batch.is_timed)
         return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
 
-    def _take_sources(self, results: Sequence[Result]) -> None:
+    def _record_sources(self, results: Sequence[Result]) -> None:
+        """Record which sources were made and which failed."""
         keys = {str(self._sources.path(key)): key for key in self._being_made}
         for result in results:
             key = keys[result.run_id]
@@ -167,14 +167,11 @@ class Dispatcher:
             else:
                 self._failed[key] = result.outcome
 
-    def _take_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
-        """Yield the results of a batch, less cells lost with their source.
-
-        These run once more, from a new source.
-        """
+    def _filter_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
+        """Yield the results of a batch; cells lost with a bad source are queued again instead."""
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[result.run_id] for result in results if result.is_lost]
-        again = {job.run_id: job for job in lost if self._is_damaged(job)}
+        again = {job.run_id: job for job in lost if self._has_damaged_source(job)}
         if again:
             self._retried |= again.keys()
             damaged = {job.source_key for job in again.values()} & self._made
@@ -186,8 +183,8 @@ class Dispatcher:
                 self._count_result(batch, jobs[result.run_id])
                 yield result
 
-    def _is_damaged(self, job: CellJob) -> bool:
-        """Return whether the source of a lost cell was damaged since it was made."""
+    def _has_damaged_source(self, job: CellJob) -> bool:
+        """Return whether a lost cell's source was damaged since it was made."""
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
@@ -196,7 +193,7 @@ class Dispatcher:
         )
 
     def _count_result(self, batch: CellBatch, job: CellJob) -> None:
-        """Show the work of a finished cell; release its source behind the last one."""
+        """Advance the progress by a finished cell; release its source after the last user."""
         shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
         self._progress.advance(count_steps(job.cell) - shown, cell_label(job.cell))
@@ -210,7 +207,7 @@ class Dispatcher:
             self._engine.release_source(key)
 
     def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
-        """Retry in isolation what has no result; return results of earlier retries."""
+        """Queue cells without result for an isolated retry; return "lost" after a retry."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
             return [Result(name, Outcome("lost", DIED)) for name in names]
@@ -218,10 +215,7 @@ class Dispatcher:
         return []
 
     def _hand_over_again(self) -> Iterator[Completed]:
-        """Queue all that the engine dropped.
-
-        A batch dropped `MOST_ATTEMPTS` times may be the cause.
-        """
+        """Queue again all batches that the engine dropped; isolate those dropped too often."""
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
         ready, self._ready = self._ready, deque()
@@ -239,7 +233,7 @@ class Dispatcher:
                 self._ready.append(batch)
 
     def _give_up(self, reason: str) -> Iterator[Completed]:
-        """Yield a lost result for all that has none."""
+        """Empty all queues; yield a "lost" result for every cell or file without one."""
         cells = [*self._blocked, *self._waiting]
         batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
         for queue in (self._blocked, self._waiting, self._ready, self._isolated):
@@ -253,12 +247,12 @@ class Dispatcher:
 
 
 def longest_cell(jobs: Sequence[CellJob]) -> Cell:
-    """Return, of the cells of one source, the one that needs most of it."""
+    """Return the cell that needs the most steps of the source that all `jobs` share."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
 def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Yield cells in the order they run: nothing runs beside timed ones."""
+    """Yield closed loops, then timed replays, then untimed problems: the order they run in."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
     yield "replays", [job for job in replays if job.cell.is_timed]
@@ -266,7 +260,7 @@ def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob
 
 
 def _sourceless_result(job: CellJob, outcome: Outcome) -> Result:
-    """Return the result of a cell without QPs."""
+    """Return the result of a cell whose source failed: "lost" or "invalid", with the cause."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"
     return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

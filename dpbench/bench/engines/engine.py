@@ -22,15 +22,15 @@ Completed = tuple[Batch, Sequence[Result]]
 
 
 class HandOverError(DpbenchError):
-    """The engine dropped all batches and sources, which are to be handed over again."""
+    """Raised when an engine has dropped all its batches, which must be submitted again."""
 
 
 class EngineGoneError(DpbenchError):
-    """The engine runs nothing any more."""
+    """Raised when an engine cannot run anything any more."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Runs batches; all that it starts ends with the `with` block.
+    """Protocol of what runs batches of cells: this machine's processes, or a cluster's workers.
 
     Of a result folder it writes only the files that it is asked to make.
 
@@ -44,23 +44,23 @@ class Engine(AbstractContextManager["Engine"], Protocol):
 
     @property
     def slots(self) -> int:
-        """Batches that run at a time."""
+        """Number of batches that run at a time."""
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Lines for the end of the campaign."""
+        """Remarks to show at the end of the campaign."""
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Get ready to run cells."""
+        """Start what is needed to run the cells of `jobs`."""
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to hand over at a time: of timed replays, or of others."""
+        """Return how many batches to submit ahead: of timed replays, or of others."""
 
     def submit(self, batch: Batch) -> None:
-        """Take a batch with existing sources."""
+        """Start or queue a batch, whose sources must exist."""
 
     def completed(self) -> Iterator[Completed]:
-        """Wait until batches are completed, or for some seconds, and yield them.
+        """Wait for completed batches, some seconds at most; yield each with its results.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         """
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Check that a source is still whole, for a cell that was lost with it."""
+        """Return whether a source is still intact, after a cell that needs it was lost."""
 
     def release_source(self, key: str) -> None:
-        """Release a source that no cell needs any more."""
+        """Delete a source that no cell needs any more."""

@@ -10,7 +10,11 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import needed_modules, template_context, uncompiled_modules
+from dpbench.bench.workers.child import (
+    list_kernel_modules,
+    list_uncompiled_modules,
+    start_forkserver,
+)
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
 from dpbench.bench.workers.scratch import Scratch
@@ -20,7 +24,7 @@ COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
 
 class LocalEngine(ExitStack):
-    """Runs cells on this machine, some side by side; an `Engine`.
+    """An engine that runs cells in processes on this machine, several side by side.
 
     `slots` processes run at a time, on as many cores; timed replays run one at a time.
     """
@@ -32,18 +36,18 @@ class LocalEngine(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on the places of logs."""
+        """Remarks on raw logs that had no room in the usual folder."""
         return self._scratch.remarks
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start the template of processes."""
+        """Start the fork server, open scratch folders, and check that the machine is free."""
         solvers = list_solvers(jobs)
-        if uncompiled_modules(needed_modules(solvers)):
+        if list_uncompiled_modules(list_kernel_modules(solvers)):
             progress.remark(COMPILING)
         self._sources = sources
         self._scratch = self.enter_context(Scratch(sources.folder))
         executor = CellExecutor(
-            template_context(solvers),
+            start_forkserver(solvers),
             self._scratch,
             sorted(os.sched_getaffinity(0)),
             self.slots,
@@ -54,25 +58,25 @@ class LocalEngine(ExitStack):
         )
         self._executor = self.enter_context(executor)
         if jobs:
-            executor.find_machine_free(times=any(job.cell.is_timed for job in jobs))
+            executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """Return one for timed replays, or enough for all cores."""
+        """Return how many batches to submit ahead: one of timed replays, else two per slot."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Hand a batch to the processes of this machine."""
+        """Start or queue a batch on the cores of this machine."""
         keys = batch.source_keys if isinstance(batch, CellBatch) else []
         self._executor.submit(batch, {key: self._sources.path(key) for key in keys})
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for batches of the processes of this machine."""
-        return self._executor.completed()
+        """Wait for completed batches; yield each with its results."""
+        return self._executor.wait_for_batches()
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Read the file behind the QPs of a cell to its end."""
+        """Return whether the source file behind a cell's QPs can be read to its end."""
         return is_readable(cell, self._sources.path(key))
 
     def release_source(self, key: str) -> None:
-        """Remove the file."""
+        """Delete a source file that no cell needs any more."""
         self._sources.remove(key)

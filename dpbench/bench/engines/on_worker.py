@@ -20,7 +20,7 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import MachineDescription
-from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
 from dpbench.bench.workers.leases import lease_core
@@ -32,10 +32,7 @@ from dpbench.temporary_folders import temporary_folder
 
 @dataclass(frozen=True)
 class WorkerInfo:
-    """Properties of a worker that a campaign checks first.
-
-    `may_start` tells whether it may start processes, as a daemon may not.
-    """
+    """Version, machine and rights of a cluster worker, which a campaign checks first."""
 
     harness_version: str
     may_start: bool
@@ -44,7 +41,7 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """Common data of all tasks of a campaign.
+    """Solver names and plug-in texts that all tasks of a campaign share.
 
     solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
@@ -55,7 +52,7 @@ class CampaignContext:
 
 @dataclass(frozen=True)
 class MadeFile:
-    """A file that was made: its bytes, none where it failed."""
+    """A file made on a worker: its outcome and its bytes, none where it failed."""
 
     outcome: Outcome
     data: bytes = b""
@@ -63,13 +60,13 @@ class MadeFile:
 
 @cache
 def worker_info() -> WorkerInfo:
-    """Return the properties of this process."""
+    """Return version, machine and rights of this worker process."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 
 
 class TaskEndedError(DpbenchError):
-    """The campaign of a task ended before it."""
+    """Raised in a task whose worker is being closed."""
 
 
 _TASKS: set[int] = set()
@@ -79,7 +76,7 @@ _ENDING = threading.Lock()
 
 @contextmanager
 def _registered_task() -> Iterator[None]:
-    """Let `end_tasks` end the block."""
+    """Register the calling thread during the block, so that `end_tasks` can interrupt it."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -91,7 +88,7 @@ def _registered_task() -> Iterator[None]:
 
 
 def end_tasks() -> None:
-    """End the tasks of this process, as Ctrl-C ends a campaign, within a tenth of a second."""
+    """Interrupt all tasks of this process by raising `TaskEndedError` in their threads."""
     with _ENDING:
         for thread in _TASKS:
             set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
@@ -107,11 +104,11 @@ def make_files(
     *,
     isolated: bool,
 ) -> dict[str, MadeFile]:
-    """Make files from their descriptions by path, on a core of this machine, as a `FileBatch`."""
-    with lease_core() as core, _executor(context, [core]) as (executor, folder):
+    """Make files on one core of this worker; return each with its outcome, by path."""
+    with lease_core() as core, _open_executor(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
-        results = _completed(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
+        results = _run_batch(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
         made = {}
         for path, outcome in ((Path(result.run_id), result.outcome) for result in results):
             data = path.read_bytes() if outcome.outcome == "finished" else b""
@@ -120,12 +117,12 @@ def make_files(
 
 
 def return_file(made: MadeFile) -> MadeFile:
-    """Return a file of the campaign's machine."""
+    """Return `made`, so that a file of the campaign's machine becomes a task of the cluster."""
     return made
 
 
 def list_outcomes(made: Mapping[str, MadeFile | None]) -> list[Result]:
-    """Return the outcomes of files, without those that nobody came to."""
+    """Return the outcome of each made file as a result; None entries are left out."""
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
@@ -138,7 +135,7 @@ def run_cells(
     alone: bool,
     concurrency: int,
 ) -> list[Result]:
-    """Run the cells of a batch and judge them.
+    """Run a batch of cells on this worker and return their evaluated results.
 
     Parameters
     ----------
@@ -153,29 +150,30 @@ def run_cells(
         return results
     with ExitStack() as stack:
         cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
-        executor, folder = stack.enter_context(_executor(context, cores, concurrency))
+        executor, folder = stack.enter_context(_open_executor(context, cores, concurrency))
         paths = {key: folder / f"exact-{key}.npz" for key in sources}
         for key, path in paths.items():
             path.write_bytes(sources[key].data)
         here = CellBatch(batch.kind, jobs, batch.isolated)
-        return [*results, *_completed(executor, here, paths)]
+        return [*results, *_run_batch(executor, here, paths)]
 
 
-def _completed(
+def _run_batch(
     executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
 ) -> Sequence[Result]:
+    """Run one batch on an executor and return its results."""
     executor.submit(batch, sources)
-    ((_, results),) = executor.completed()
+    ((_, results),) = executor.wait_for_batches()
     return results
 
 
 def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Yield lost results of jobs with another solver version than planned."""
+    """Yield a "lost" result for each cell whose solver has another version here than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        identity = wanted if job.cell.solver_module else _library_identity(job.cell.solver)
+        identity = wanted if job.cell.solver_module else _find_library_identity(job.cell.solver)
         if identity != wanted:
             where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
@@ -183,21 +181,22 @@ def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
 
 
 @cache
-def _library_identity(solver: str) -> str:
+def _find_library_identity(solver: str) -> str:
+    """Return version and build of a solver's library on this worker."""
     return check_availability(solver).identity
 
 
 @cache
-def _forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Return the context, once: the check for compiled kernels takes longer than a short cell."""
-    return template_context(solvers)
+def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
+    """Return this worker's fork-server context, made once for each set of solvers."""
+    return start_forkserver(solvers)
 
 
 @contextmanager
-def _executor(
+def _open_executor(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
-    """Open an executor with one slot on these cores, and a folder for its files."""
+    """Open an executor with one slot on these cores, and a temporary folder for its files."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}
@@ -206,7 +205,7 @@ def _executor(
             Path(modules[path]).parent.mkdir()
             Path(modules[path]).write_text(text, encoding="utf-8")
         executor = CellExecutor(
-            _forkserver(context.solvers),
+            _get_forkserver(context.solvers),
             stack.enter_context(Scratch(place)),
             cores,
             1,

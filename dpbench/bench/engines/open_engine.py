@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
-from dpbench.bench.workers.leases import lease_folder
+from dpbench.bench.workers.leases import open_lease_folder
 from dpbench.errors import InputError
 from dpbench.locks import WaitLimit
 
@@ -19,7 +19,7 @@ def open_engine(
     tls: TlsFiles | None = None,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """Open the engine of that name, for one campaign.
+    """Open the engine `name`, "local" or "dask", for one campaign.
 
     Parameters
     ----------
@@ -44,22 +44,22 @@ def open_engine(
         raise InputError("--jobs", "", found, allowed)
     slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
-    lease_folder()
+    open_lease_folder()
     if name == "local":
         return LocalEngine(slots, patience)
     if patience != WaitLimit():
         raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.
-        from dpbench.bench.engines.dask_engine import dask_engine
+        from dpbench.bench.engines.dask_engine import open_dask_engine
     except ModuleNotFoundError as error:
         found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
         raise InputError("--engine", "", found, allowed) from error
-    return dask_engine(scheduler, slots, tls)
+    return open_dask_engine(scheduler, slots, tls)
 
 
 def count_slots(jobs: int | None) -> int:
-    """Return `jobs`, or all cores of this machine for None; InputError for more than there are."""
+    """Return `jobs`, or the number of this machine's cores for None; InputError beyond them."""
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

@@ -39,7 +39,7 @@ MOST_SHARDS = 10_000
 
 @dataclass(frozen=True)
 class Shard:
-    """The part `index` of `count`, from 1; InputError for what is no part."""
+    """Part `index` (from 1) of `count` parts of a plan; InputError for impossible numbers."""
 
     index: int
     count: int
@@ -53,8 +53,8 @@ class Shard:
         return f"{self.index}/{self.count}"
 
     @classmethod
-    def of_text(cls, text: str | None) -> Shard:
-        """Return the part of a text "i/n", the whole for None; InputError for what is no part."""
+    def from_text(cls, text: str | None) -> Shard:
+        """Return the shard of a text "i/n", the whole plan for None; InputError for other texts."""
         if text is None:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
@@ -62,28 +62,27 @@ class Shard:
             raise InputError("--shard", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
         return cls(*map(int, parts.groups()))
 
-    def of_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
-        """Return the jobs of this part, in order: the same wherever it is called.
+    def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
+        """Return the jobs of this shard, in order; parts have about equal work on every machine.
 
-        Parts are of about the same work. Each makes the sources of its own cells, so that cells of
-        one source stay together as far as possible; replays of one sequence always do, as they are
-        timed by turns.
+        Cells of one source stay together as far as possible, as each part makes its own sources;
+        replays of one sequence always do, as they are timed by turns.
         """
         if self == WHOLE:
             return jobs
-        share = sum(_job_steps(job) for job in jobs) / self.count
+        share = _total_steps(jobs) / self.count
         bundles = []
         for alike in group_by_source(jobs).values():
-            whole = sum(map(_job_steps, alike)) <= share
-            bundles += [alike] if whole else _smallest_groups(alike)
+            whole = _total_steps(alike) <= share
+            bundles += [alike] if whole else _split_jobs(alike)
         # The largest first, each to whoever has least: a cell's own text settles who that is.
-        bundles.sort(key=lambda some: (-sum(map(_job_steps, some)), some[0].cell.to_json()))
+        bundles.sort(key=lambda some: (-_total_steps(some), some[0].cell.to_json()))
         loads = [(0, part) for part in range(1, self.count + 1)]
         heapify(loads)
         mine: set[str] = set()
         for some in bundles:
             load, part = loads[0]
-            heapreplace(loads, (load + sum(map(_job_steps, some)), part))
+            heapreplace(loads, (load + _total_steps(some), part))
             if part == self.index:
                 mine |= {job.run_id for job in some}
         return [job for job in jobs if job.run_id in mine]
@@ -92,12 +91,13 @@ class Shard:
 WHOLE = Shard(1, 1)
 
 
-def _job_steps(job: CellJob) -> int:
-    return count_steps(job.cell)
+def _total_steps(jobs: list[CellJob]) -> int:
+    """Return the number of solver steps that some jobs take together."""
+    return sum(count_steps(job.cell) for job in jobs)
 
 
-def _smallest_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Return jobs of one source in the smallest groups that stay together."""
+def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
+    """Split jobs of one source into the smallest groups that must run in one shard."""
     units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
@@ -110,7 +110,7 @@ def _smallest_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """Description of the shard in a folder; `digest` is that of the whole plan."""
+    """Content of `shard.json`: request, shard, digest of the whole plan, machine and version."""
 
     asked: RunRequest
     shard: Shard
@@ -120,12 +120,12 @@ class ShardRecord:
     revision: Revision = field(default_factory=current_revision)
 
     def write(self, folder: Path) -> None:
-        """Write it into a folder."""
+        """Write `shard.json` into a result folder."""
         write_json(folder / SHARD_FILE, json.loads(json.dumps(asdict(self))))
 
     @classmethod
     def read(cls, folder: Path) -> ShardRecord:
-        """Return that of a folder; InputError where there is none, or a damaged one."""
+        """Read `shard.json` of a result folder; InputError where it is missing or damaged."""
         path = folder / SHARD_FILE
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
@@ -135,7 +135,7 @@ class ShardRecord:
 
 
 class _ShardFile(BaseModel):
-    """`shard.json`."""
+    """Types of the keys of `shard.json`, for validation."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 

@@ -8,27 +8,25 @@ _SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
 
 
 class SourceFiles:
-    """Those of one campaign.
+    """The source files of one campaign, from which workers read QPs.
 
-    Parameters
-    ----------
-    folder : where they lie; kept : keys of those that hold what the result folder shows.
+    `kept` are the keys of files that the result folder needs at the end of the campaign.
     """
 
     def __init__(self, folder: Path, kept: Collection[str] = ()) -> None:
         self.folder, self._kept = folder, set(kept)
 
     def path(self, key: str) -> Path:
-        """Where the source of that key lies."""
+        """Return the path of the source file with this key."""
         return self.folder / f"exact-{key}.npz"
 
     def remove(self, key: str) -> None:
-        """Remove the source of a key, unless it is kept."""
+        """Delete the source file with this key, unless it is to be kept."""
         if key not in self._kept:
             self.path(key).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Remove all but those that are kept, also what an interrupted campaign left."""
+        """Delete all source files but those to be kept, also those of an interrupted run."""
         for path in self.folder.iterdir():
             own = _SOURCE.fullmatch(path.name)
             if own and own["key"] not in self._kept:

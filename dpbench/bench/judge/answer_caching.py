@@ -17,7 +17,7 @@ import pandas as pd
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import explained_late_timings
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
 
 FEWEST_VISITS = 20
 """First visits, each with a later one, below which the figures are NaN."""
@@ -43,8 +43,8 @@ MOST_LOOP_TAIL = 15.0
 """Largest such ratio of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
 
 
-def memory_metrics(log: RawLog) -> dict[str, float]:
-    """Return the figures of first visits; NaN with fewer than `FEWEST_VISITS` pairs of visits.
+def caching_metrics(log: RawLog) -> dict[str, float]:
+    """Return how much slower first visits of steps are than later ones, a sign of cached answers.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
     one, less the factor by which the reference kernel was slower around the first visits than at
@@ -52,7 +52,7 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
     in any later round, and less what the switches of the first visits' round explain: it finds a
     memory of hard steps alone, which leaves the median as it is.
     """
-    total = step_ns(log.times)
+    total = sum_step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
     number = np.arange(steps)
     for r, group in ((1, number >= warm_up), (0, number < warm_up)):
@@ -62,16 +62,16 @@ def memory_metrics(log: RawLog) -> dict[str, float]:
         shortest = later.min(axis=0, initial=np.inf)
         pairs = group & (log.first_ns > 0) & np.isfinite(shortest)
         if np.count_nonzero(pairs) >= FEWEST_VISITS:
-            slower = _machine_factor(log, r)
+            slower = _machine_slowdown(log, r)
             ratio = float(np.median(log.first_ns[pairs] / shortest[pairs])) / slower
             first, later = log.first_ns[pairs].astype(np.float64), later[:, pairs]
-            excess = _slow_excess(first, later, slower, _explained_visits(log, r, later))
+            excess = _slow_excess(first, later, slower, _count_explained_visits(log, r, later))
             return {"first_visit_ratio": ratio, "first_visit_excess": excess}
     return {"first_visit_ratio": np.nan, "first_visit_excess": np.nan}
 
 
 def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
-    """Return the unexplained share of slow first visits (K,), by later visits (R, K)."""
+    """Return the share of slow first visits (K,) that later visits (R, K) do not explain."""
     slow_first = np.count_nonzero(first > SLOW_VISIT * slower * later.min(axis=0))
     slow_later = 0
     for i, visits in enumerate(later):
@@ -80,8 +80,8 @@ def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) ->
     return float((slow_first - 2 * slow_later - explained) / len(first))
 
 
-def _explained_visits(log: RawLog, r: int, later: Floats) -> int:
-    """Return how many slow first visits the involuntary switches of round r may explain."""
+def _count_explained_visits(log: RawLog, r: int, later: Floats) -> int:
+    """Return how many slow first visits round r's involuntary context switches may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
@@ -92,7 +92,7 @@ def _explained_visits(log: RawLog, r: int, later: Floats) -> int:
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
-    """Return the visits (R, K) of each step after its first one in round r, inf for none."""
+    """Return the times (R, K) of each step after its first visit in round r; inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
     rounds = np.arange(r if log.attempts[r] > 1 else r + 1, len(log.done))
     rounds = rounds[log.done[rounds] > 0]
@@ -100,8 +100,8 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
     return np.where(recorded, np.maximum(total[rounds], 1), np.inf)
 
 
-def _machine_factor(log: RawLog, r: int) -> float:
-    """Return by what factor the machine was slower around the first attempt of round r."""
+def _machine_slowdown(log: RawLog, r: int) -> float:
+    """Return how many times slower than at its best the machine was around round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
         return 1.0
@@ -114,7 +114,7 @@ def is_remembered(
     first_visit_excess: float = np.nan,
     loop_tail_ratio: float = np.nan,
 ) -> bool:
-    """Return whether replay times are those of remembered answers; NaN marks nothing."""
+    """Return whether replay times look like cached answers, by four ratios; NaN marks none."""
     return bool(
         first_visit_ratio > MOST_WARMING
         or loop_ratio > MOST_LOOP
@@ -127,7 +127,7 @@ _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
-    """Add `loop_ratio` and `loop_tail_ratio` to runs.
+    """Return runs with the ratios of closed-loop to replay step times, p50 and p90, as columns.
 
     They are the median and the 90th percentile of the configuration's own closed loop over those of
     its replay; NaN without a loop in that scenario that finished without a failed step, as a solver

@@ -8,7 +8,7 @@ import numpy as np
 
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, step_ns
+from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -21,12 +21,12 @@ _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 
 
 def excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
-    """Return the measured time of a configuration beyond what it waits [ns]."""
+    """Return how much longer than its known wait a calibration configuration measures [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
 
 def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
-    """Return whether the measured median is right; None where its time is not known."""
+    """Return whether a calibration median is right; None where the true time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
     return abs(excess_over_wait_ns(configuration, p50_ns)) <= max(
@@ -36,14 +36,14 @@ def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Medians of all samples by configuration [ns], and what disturbed the machine meanwhile."""
+    """Median step times of the calibration configurations [ns], and the machine's disturbance."""
 
     p50_ns: dict[str, float]
     disturbance: Disturbance
 
 
 def calibrate() -> Calibration:
-    """Replay made-up QPs through every configuration, in this process on its last core."""
+    """Time made-up QPs with every calibration configuration, on this process's last core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
@@ -58,8 +58,8 @@ def calibrate() -> Calibration:
     return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
 
 
-def _unsolved_sequence() -> QPSequence:
-    """Return QPs that no calibration configuration solves."""
+def _build_sequence() -> QPSequence:
+    """Return a sequence of made-up QPs, which calibration configurations do not solve."""
     eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
     base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
     many = np.zeros((_STEPS, _SIZE))
@@ -67,17 +67,18 @@ def _unsolved_sequence() -> QPSequence:
 
 
 def _replay_configuration(name: str) -> tuple[float, Disturbance]:
+    """Replay made-up QPs with one configuration; return its median step [ns] and disturbance."""
     steps, timed_solver, log = replay_parts(
-        _unsolved_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+        _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
     )
-    replaying.rounds()
+    replaying.run_all_rounds()
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)
-    return float(np.median(step_ns(log.times[1:]))), Disturbance(
+    return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,
         disturbed=float(slowed.sum()),
         rerun=0.0,

@@ -62,7 +62,7 @@ _SOLVE = PHASES.index("solve")
 
 @dataclass(frozen=True, eq=False)
 class AppliedForces:
-    """Run, QP builder, columns and thruster forces (K, n_f) that controller metrics need."""
+    """Run, QP builder, columns and thruster forces (K, n_f) that control metrics are made from."""
 
     scenario: Scenario
     builder: QPBuilder
@@ -83,14 +83,14 @@ METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedCell:
-    """Arrays over the recorded rows of a cell, and the metrics of its run."""
+    """Evaluated steps of one cell as columns, and the metrics of its run."""
 
     columns: Columns
     metrics: dict[str, float]
 
 
 class StepEvaluator:
-    """Evaluates answers to QPs of one base problem, many at once.
+    """Evaluator of a solver's answers against certified optima, many steps at once.
 
     Parameters
     ----------
@@ -105,33 +105,33 @@ class StepEvaluator:
         self._waiting: list[tuple[QPStep, QPStep, Solution, Optimum]] = []
         self._evaluated: list[Matrix] = []
 
-    def follow(self, step: QPStep, own: QPStep) -> None:
-        """Take over the matrices of a step, where it brings new ones."""
+    def switch_matrices(self, step: QPStep, own: QPStep) -> None:
+        """Switch to the matrices of a step where it has new ones."""
         if self._scaled.changed_by(step):
-            self._evaluate()
+            self._evaluate_queue()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 
     def certify(self, step: QPStep) -> Optimum:
-        """Return the certified optimum of a step in scaled units."""
+        """Return the certified optimum of a step, in scaled units."""
         if self._referee is None:
             qp = self._scaled
             self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
-        """Add an answer, in the solver's own units, to the QP of a step that was followed."""
+    def add_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
+        """Queue an answer, in the solver's own units, for evaluation against its optimum."""
         self._waiting.append((scaled, own, answer, optimum))
         if len(self._waiting) >= BATCH_SIZE:
-            self._evaluate()
+            self._evaluate_queue()
 
     def evaluations(self) -> Matrix:
-        """Return the figures (K, len(EVALUATION)) of all answers, in their order."""
-        self._evaluate()
+        """Return the errors and residuals (K, len(EVALUATION)) of all queued answers, in order."""
+        self._evaluate_queue()
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
-    def _evaluate(self) -> None:
-        """Evaluate what waits: answers to QPs of the same matrices."""
+    def _evaluate_queue(self) -> None:
+        """Compute residuals, errors and truth of all queued answers to QPs of the same matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
@@ -161,24 +161,24 @@ class StepEvaluator:
     def _add_multipliers(
         self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
     ) -> None:
-        """Write the best multipliers to answers whose solver gave none."""
+        """Fill in best-fitting multipliers where a solver returned none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
             y[i], y_box[i] = fit_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
-    """Return an attribute of each part as rows."""
+    """Return one attribute of several objects as rows of an array."""
     return np.array([getattr(part, name) for part in parts])
 
 
 def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
-    """Return q (K, n), l (K, m) and u (K, m) of K steps."""
+    """Return the vectors q (K, n), l (K, m) and u (K, m) of K steps."""
     return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
 def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
-    """Return the bound of each optimum and its number of active limits, (K,) each."""
+    """Return the error bound (K,) and the number of active limits (K,) of each optimum."""
     bound = np.array([optimum.bound for optimum in optima])
     multipliers = np.concatenate(
         (_stack_attribute(optima, "y"), _stack_attribute(optima, "y_box")), axis=1
@@ -187,19 +187,21 @@ def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
-    """Return the answer in row (r, k) of a log, in the solver's own units."""
+    """Return the answer of round r, step k from a raw log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
-    """Return the columns and metrics of a closed loop."""
+    """Return the evaluated steps and control metrics of a closed loop from its raw log."""
     scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     # On a slow computer a step may pass without a computation: it has no answer to evaluate.
     asked = log.times[0, :done, _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, *_controller_rebuild(scaled, own, log), asked)
+    columns, matrix_steps = _evaluate_steps(
+        log, *_rebuild_controller_steps(scaled, own, log), asked
+    )
     columns |= {
         "asked": asked,
         "t_s": columns["k"] * scenario.sample_s,
@@ -226,10 +228,10 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     return EvaluatedCell(columns, metrics)
 
 
-def _controller_rebuild(
+def _rebuild_controller_steps(
     scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> tuple[StepEvaluator, RebuildStep]:
-    """Return an evaluator of a controller's QPs, and the QPs from the recorded θ."""
+    """Return an evaluator for a controller's QPs, and a function that rebuilds them from θ."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
 
@@ -243,7 +245,7 @@ def _controller_rebuild(
 def _allocation_columns(
     scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> Columns:
-    """Return the undelivered share of a cascade's demand, and the columns of its second QPs."""
+    """Return a cascade's undelivered share of force, and the columns of its allocation QPs."""
     if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
@@ -258,8 +260,8 @@ def _allocation_columns(
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         recorded = k, log.demand, log.thrust
-        step = scaled.allocate_again(*recorded)
-        return step, step if own is scaled else own.allocate_again(*recorded)
+        step = scaled.rebuild_allocation(*recorded)
+        return step, step if own is scaled else own.rebuild_allocation(*recorded)
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
@@ -267,7 +269,7 @@ def _allocation_columns(
 
 
 def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
-    """Return the columns of a backup: its answers, whether it acted, when it was ready."""
+    """Return the columns of the backup solver: its answers, whether and when they acted."""
     answers = log.backup
     if answers is None:
         return {}
@@ -276,7 +278,7 @@ def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     asked = answers.times[0, :done, _SOLVE] >= 0
-    evaluated, _ = _evaluate_steps(answers, *_controller_rebuild(scaled, own, log), asked)
+    evaluated, _ = _evaluate_steps(answers, *_rebuild_controller_steps(scaled, own, log), asked)
     acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
     facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
     return {f"{BACKUP_PREFIX}{name}": column for name, column in facts.items()}
@@ -285,15 +287,15 @@ def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
 def _evaluate_steps(
     answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
-    """Return the columns of the `asked` steps (K,), and how many brought matrices."""
+    """Return evaluated columns of the `asked` steps (K,), and how many brought new matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
     certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0
     for k in np.flatnonzero(asked).tolist():
         step, step_own = rebuilt(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step)
-        evaluator.add(step, step_own, recorded_answer(answers, 0, k), optimum)
+        evaluator.add_answer(step, step_own, recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
     evaluations[asked] = evaluator.evaluations()
@@ -307,7 +309,7 @@ def common_columns(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """Return the columns of both modes, for `counts` recorded steps of each of `rounds`."""
+    """Return the columns that loops and replays share, for the recorded steps of `rounds`."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]

@@ -19,7 +19,7 @@ AT_LIMIT = 1e-6
 def control_metrics(
     scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
-    """Return the metrics of a run of K steps that every controller has.
+    """Return pose error, settling, effort and cost metrics of a closed loop of K steps.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ def control_metrics(
 
 
 def previous_forces(forces: Matrix) -> Matrix:
-    """Return the force before each of K forces (K, n), zero before the first."""
+    """Return the force before each of K forces (K, n); zero before the first."""
     return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
-    """Return the shares of the run in the zones of a watch circle."""
+    """Return the shares of time in the green, yellow and red zone of a watch circle."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
     return {
@@ -76,7 +76,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
 
 
 def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
-    """Return the integrals of the error of each axis, and its overshoot."""
+    """Return IAE, ISE, ITAE and overshoot of the pose error on each axis."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
@@ -88,11 +88,12 @@ def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
 
 
 def _rms(values: Floats) -> float:
+    """Return the root mean square of some values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
-    """Return the first time from which `inside` holds for hold_s (None: to the end), or inf."""
+    """Return the first time [s] after which `inside` stays true for `hold_s` (None: to the end)."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -105,7 +106,7 @@ def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) ->
 
 
 def _overshoot(error: Vector) -> float:
-    """Return the furthest error of the other sign than the first; NaN if that is 0."""
+    """Return the largest error of opposite sign to the first one; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
@@ -124,6 +125,7 @@ def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Mat
 
 
 def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+    """Return thrust effort [s], total variation and work [J] of the applied forces."""
     change = tau - previous_forces(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
@@ -135,6 +137,7 @@ def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, fl
 
 
 def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+    """Return the largest and RMS deviation of pose and force from the exactly solved loop."""
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
     position = np.hypot(north, east)
@@ -153,7 +156,7 @@ def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str
 def axis_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
-    """Return shares of steps at the limits of each axis, and the steps beyond one.
+    """Return the shares of steps at each axis's limits, and the number of violations.
 
     Parameters
     ----------
@@ -178,7 +181,7 @@ def axis_limit_metrics(
 def joint_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
-    """Return such figures of a force limited by what its thrusters give together."""
+    """Return shares of steps at limits that thrusters set jointly, and the number of violations."""
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
     low, high = stack_limits(limits[: len(tau)])
@@ -198,14 +201,14 @@ def joint_limit_metrics(
 
 
 def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
-    """Return shares of steps at the rate limit of each axis."""
+    """Return the share of steps at the rate limit of each axis."""
     du_max = scenario.problem.du_max
     at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
     return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
 
 
 def _exceeds_rate(scenario: Scenario, tau: Matrix) -> Flags:
-    """Return whether each force (K, 3) is beyond the rate limits: (K,)."""
+    """Return whether each applied force (K, 3) changed faster than the rate limit: (K,)."""
     ship, du_max = scenario.vessel, scenario.problem.du_max
     # Beyond one unit in the last place of the force itself a difference is no rounding.
     rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats
-from dpbench.bench.judge.answer_caching import memory_metrics
+from dpbench.bench.judge.answer_caching import caching_metrics
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
@@ -30,7 +30,7 @@ def evaluate_sequence(
     *,
     judged: bool = True,
 ) -> EvaluatedCell:
-    """Return the evaluated columns of a replay of the sequence `own`.
+    """Return the evaluated steps and metrics of a replay from its raw log.
 
     Parameters
     ----------
@@ -53,11 +53,11 @@ def evaluate_sequence(
         columns[kernel] = getattr(log, kernel)[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
     metrics |= repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
-    return EvaluatedCell(columns, metrics | memory_metrics(log))
+    return EvaluatedCell(columns, metrics | caching_metrics(log))
 
 
-def _recorded_steps(log: RawLog) -> Flags:
-    """Return which steps (R, K) each round has recorded."""
+def _find_recorded_steps(log: RawLog) -> Flags:
+    """Return a mask (R, K) of the steps that each round has recorded."""
     recorded: Flags = np.arange(log.z.shape[1]) < log.done[:, np.newaxis]
     return recorded
 
@@ -65,16 +65,16 @@ def _recorded_steps(log: RawLog) -> Flags:
 def _evaluate_rounds(
     log: RawLog, own: QPSequence, units: Units, optima: Sequence[Optimum] | None
 ) -> tuple[Floats, NDArray[np.int8]]:
-    """Return the figures and the certificates of the answers of all rounds, one after another."""
+    """Return errors and certificates of the answers of all rounds, one round after another."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     evaluator = StepEvaluator(scaled.base, own.base, units)
-    recorded, added = _recorded_steps(log), 0
+    recorded, added = _find_recorded_steps(log), 0
     # The number of the evaluation of each answer.
     numbers, kinds = np.zeros(recorded.shape, np.intp), np.zeros(recorded.shape, np.int8)
     for k in np.flatnonzero(recorded.any(axis=0)).tolist():
         step = scaled.step(k)
         step_own = step if own is scaled else own.step(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step) if optima is None else optima[k]
         kinds[:, k] = CERTIFICATES.index(optimum.kind)
         seen: dict[bytes, int] = {}
@@ -83,14 +83,14 @@ def _evaluate_rounds(
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                evaluator.add(step, step_own, answer, optimum)
+                evaluator.add_answer(step, step_own, answer, optimum)
                 seen[identity], added = added, added + 1
             numbers[r, k] = seen[identity]
     return evaluator.evaluations()[numbers[recorded]], kinds[recorded]
 
 
 def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
-    """Return how a replay repeats itself, over all rounds, warm-up and disturbed ones included.
+    """Return how equal the answers and iterations of a replay are over all its rounds.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
     iterations, in all of them; the largest difference of a z between two rounds, in scaled units,
     and of iterations. NaN where no step was repeated, or iterations are not counted.
     """
-    z, iterations, recorded = log.z, log.iterations, _recorded_steps(log)
+    z, iterations, recorded = log.z, log.iterations, _find_recorded_steps(log)
     repeated = recorded.sum(axis=0) >= 2
     if not repeated.any():
         names = ("bit_identical_share", "answer_spread_max")

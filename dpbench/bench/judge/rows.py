@@ -36,12 +36,7 @@ def run_row(
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """Return the row of `runs.parquet` of one cell; without steps, its identity only.
-
-    Parameters
-    ----------
-    concurrency : of a timed replay, the column of that name; None of every other cell.
-    """
+    """Return the row of `runs.parquet` of one cell; without steps only what identifies the cell."""
     row: dict[str, Any] = {
         "run_id": run_id,
         "mode": cell.mode,
@@ -94,14 +89,14 @@ def run_row(
 
 
 def _deadline_s(cell: Cell) -> float:
-    """Return the budget of a step [s]; NaN in a replay, which has none."""
+    """Return the time budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
     return cell.deadline_s or cached_scenario(cell.scenario).sample_s
 
 
 def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Return horizons and size of the QP; null where there are none."""
+    """Return horizons and QP size of a cell; null where there are none."""
     scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
@@ -114,6 +109,7 @@ def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
 
 
 def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return claims, true answers, errors and iterations over the steps that count."""
     known, undecided = rules.decided_steps(steps), steps["certificate"] == rules.UNDECIDED
     charged = rules.select_rows(steps, ~undecided)
     moves = rules.first_move_errors(charged)
@@ -121,10 +117,10 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
     iterations = steps["iterations"][steps["iterations"] > MISSING_INT]
     bounds = steps["optimum_bound"]
     return {
-        "claimed_share": _true_share(steps["claimed"]),
-        "true_share": _true_share(steps["true"][known]),
-        "true_1e4_share": _true_share(steps["true_1e4"][known]),
-        "true_1e6_share": _true_share(steps["true_1e6"][known]),
+        "claimed_share": _share_of_true(steps["claimed"]),
+        "true_share": _share_of_true(steps["true"][known]),
+        "true_1e4_share": _share_of_true(steps["true_1e4"][known]),
+        "true_1e6_share": _share_of_true(steps["true_1e6"][known]),
         "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
         "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
@@ -140,7 +136,7 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return errors and failed steps of all rounds, as a fault may be in the warm-up alone."""
+    """Return the largest errors and the failed steps over all rounds, warm-up included."""
     charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
         "error_move_max": rules.largest_known(rules.first_move_errors(charged)),
@@ -149,12 +145,13 @@ def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
     }
 
 
-def _true_share(flags: Flags) -> float:
+def _share_of_true(flags: Flags) -> float:
+    """Return the share of true flags; NaN without any flag."""
     return float(flags.mean()) if len(flags) else float("nan")
 
 
 def _backup_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return the columns on a backup; none without one."""
+    """Return how often the backup solver was asked, acted and failed; none without one."""
     if "backup" not in steps:
         return {}
     asked = steps["backup_ns"] > MISSING_INT
@@ -170,6 +167,7 @@ def _backup_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return how often the fallback acted, its longest run, and the steps to recover."""
     failed = steps["fallback"]
     recovered = timing.steps_to_recover(failed, steps["true"])
     return {

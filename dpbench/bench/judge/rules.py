@@ -41,7 +41,7 @@ _NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
 def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
-    """Return whether the times of a replay may be compared with those of others.
+    """Return whether a replay's times may be compared with others of the result folder.
 
     They are taken one cell at a time, on the machine of the result folder.
 
@@ -70,7 +70,7 @@ def explained_late_timings(switches: float, timed_share: float) -> int:
 
 
 def is_disturbed(reference_kernel_ns: Floats) -> Flags:
-    """Return in which rounds (R,) the reference kernel was slowed by more than `DISTURBED_FACTOR`.
+    """Return a mask (R,) of rounds in which the reference kernel was slowed too much.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ def is_disturbed(reference_kernel_ns: Floats) -> Flags:
 
 
 def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> NDArray[np.int32]:
-    """Return the disturbed ones of `rounds` (R,); see `is_disturbed`."""
+    """Return those of `rounds` (R,) in which the reference kernel was slowed too much."""
     return rounds[is_disturbed(reference_kernel_ns)]
 
 
 def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
-    """Return which rows (N,) of a replay count: no warm-up, and no disturbed round.
+    """Return a mask (N,) of replay rows that count: no warm-up, and no disturbed round.
 
     Where every round is disturbed all of them count but the warm-up.
 
@@ -108,36 +108,37 @@ def supports_percentile(samples: int, percent: float) -> bool:
 
 
 def percentile(values: Floats, percent: float) -> float:
-    """Return the percentile, or NaN when the samples do not support it."""
+    """Return a percentile of values; NaN where too few samples lie beyond it."""
     if not supports_percentile(len(values), percent):
         return float(np.nan)
     return float(np.percentile(values, percent))
 
 
 def median_known(values: Floats | Sequence[float]) -> float:
-    """Return the median of the values that are not NaN; NaN where none is."""
-    known = _without_nan(values)
+    """Return the median of the values that are not NaN; NaN without any."""
+    known = _drop_nan(values)
     return float(np.median(known)) if len(known) else float(np.nan)
 
 
 def largest_known(values: Floats | Sequence[float]) -> float:
-    """Return the largest of the values that are not NaN; NaN where none is."""
-    known = _without_nan(values)
+    """Return the largest of the values that are not NaN; NaN without any."""
+    known = _drop_nan(values)
     return float(known.max()) if len(known) else float(np.nan)
 
 
-def _without_nan(values: Floats | Sequence[float]) -> Floats:
+def _drop_nan(values: Floats | Sequence[float]) -> Floats:
+    """Return the values that are not NaN."""
     array = np.asarray(values, dtype=np.float64)
     return array[~np.isnan(array)]
 
 
 def decided_steps(steps: Steps) -> Flags:
-    """Return the steps (N,) whose right answer is known: an optimum, or that there is none."""
+    """Return a mask (N,) of steps with a certified optimum or a proof that there is none."""
     return ~_column_is_in(steps, "certificate", (UNCERTIFIED, UNDECIDED))
 
 
 def failed_steps(steps: Steps) -> Flags:
-    """Return the steps (N,) with a fallback though an answer exists, or with an unfinished iterate.
+    """Return a mask (N,) of steps with a fallback though an answer exists, or unfinished.
 
     A QP without a feasible point has no answer; an iterate that is given all the same fails. A step
     that is undecided at rounding never does.
@@ -148,10 +149,7 @@ def failed_steps(steps: Steps) -> Flags:
 
 
 def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
-    """Return the steps with an answer to evaluate, of a computer that much slower.
-
-    An answer that is late is not for that reason a failed one.
-    """
+    """Return the steps that have an answer to evaluate, late ones on a slow computer too."""
     if slowdown == 0.0:
         return steps
     answered = select_rows(steps, steps["total_ns"] > MISSING_INT)
@@ -159,17 +157,17 @@ def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
 
 
 def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
-    """Return some of the rows."""
+    """Return the columns reduced to the rows of a mask (N,)."""
     return {name: column[rows] for name, column in steps.items()}
 
 
 def claimed_not_true(steps: Steps) -> Flags:
-    """Return the steps (N,) claimed solved that are not, where the answer is known."""
+    """Return a mask (N,) of steps that the solver claims solved and the referee finds wrong."""
     return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided_steps(steps)
 
 
 def true_not_claimed(steps: Steps) -> Flags:
-    """Return the steps (N,) with a true optimum that the solver did not claim."""
+    """Return a mask (N,) of steps with a true optimum that the solver did not claim."""
     said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
     return (
         _flag_column(steps, "true")
@@ -180,18 +178,18 @@ def true_not_claimed(steps: Steps) -> Flags:
 
 
 def unusable_steps(steps: Steps) -> Flags:
-    """Return the steps (N,) whose answer no loop can apply: by its status, or not finite."""
+    """Return a mask (N,) of steps whose answer cannot be applied: by status, or not finite."""
     infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
     return _column_is_in(steps, "status", _NO_USE) | np.asarray(infinite)
 
 
 def unfinished_steps(steps: Steps) -> Flags:
-    """Return the steps (N,) whose answer, if usable at all, is an unfinished iterate."""
+    """Return a mask (N,) of steps whose answer is an unfinished iterate, by its status."""
     return _column_is_in(steps, "status", _UNFINISHED)
 
 
 def first_move_errors(steps: Steps) -> Floats:
-    """Return the error (N,) of the first move of each step, in rate-limit steps.
+    """Return the error (N,) of each step's first move, in rate-limit steps.
 
     Of a cascade it is the larger of that of its force and that of its thrusters.
     """
@@ -203,11 +201,12 @@ def first_move_errors(steps: Steps) -> Floats:
 
 
 def _flag_column(steps: Steps, name: str) -> Flags:
+    """Return a column of steps as a Boolean array (N,)."""
     return np.asarray(steps[name], dtype=np.bool_)
 
 
 def _column_is_in(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
-    """Return where (N,) a column of words has one of `values`."""
+    """Return a mask (N,) of the steps whose text in one column is one of `values`."""
     column = steps[name]
     if isinstance(column, pd.Series):
         return column.isin(values).to_numpy(dtype=np.bool_)

@@ -38,7 +38,7 @@ _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
 def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
-    """Return the columns of the recorded steps of a cell."""
+    """Return the columns of `steps.parquet` for the recorded steps of a cell."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _answer_columns(columns, asked)
@@ -61,7 +61,7 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     if "backup" in steps:
         waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
     steps |= deadline_columns(delay, columns["latency_ns"], waited_ns)
-    if "backup" in steps and delay.simulated:
+    if "backup" in steps and delay.is_simulated:
         ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns
@@ -69,13 +69,13 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
 
 
 def _select_prefix(columns: Columns, prefix: str) -> Columns:
-    """Return the columns with a prefix, without it."""
+    """Return the columns whose names have a prefix, under names without it."""
     names = [name for name in columns if name.startswith(prefix)]
     return {name.removeprefix(prefix): columns[name] for name in names}
 
 
 def _backup_columns(columns: Columns) -> StepColumns:
-    """Return the columns of a backup in each step; none without one."""
+    """Return whether the backup acted or failed in each step, its time and error."""
     own = _select_prefix(columns, BACKUP_PREFIX)
     if not own:
         return {}
@@ -89,7 +89,7 @@ def _backup_columns(columns: Columns) -> StepColumns:
 
 
 def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
-    """Return the columns of answers to QPs, of the steps `asked` (K,); None for all."""
+    """Return times, status, errors and residuals of answers; empty in steps not `asked` (K,)."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
@@ -113,7 +113,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
 
 
 def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Join the columns of the two QPs of a cascade's steps, K rows each.
+    """Return the columns of a cascade's steps from those of its two QPs, K rows each.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no
@@ -138,10 +138,12 @@ def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
 
 
 def _as_integers(values: NDArray[Any]) -> Ints:
+    """Return values as int64, where everything below `MISSING_INT` becomes that."""
     return np.maximum(values.astype(np.int64), MISSING_INT)
 
 
 def _ship_columns(columns: Columns) -> StepColumns:
+    """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
@@ -153,7 +155,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
 
 
 def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """Return the time (N,) of each step, a second QP included; `MISSING_INT` without a phase."""
+    """Return each step's time (N,), a cascade's second QP included; −1 without a phase."""
     phases = [steps[phase] for phase in SOLVER_COLUMNS]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)
@@ -164,7 +166,7 @@ def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
 
 
 def row_changes(values: Floats, k: NDArray[Any]) -> Floats:
-    """Return the change (N,) against the row before; against zero at k = 0."""
+    """Return the change (N,) of a column from row to row, from zero at k = 0."""
     before = np.roll(values, 1)
     before[k == 0] = 0.0
     change: Floats = values - before

@@ -31,12 +31,7 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
 
 
 def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
-    """Return the metrics of the forces f (K, n_f) [N] of a run whose controller commands thrusters.
-
-    Parameters
-    ----------
-    limits : of the thrusters, of at least K samples.
-    """
+    """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
@@ -46,7 +41,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
     turned_deg, reversals = _azimuth_travel(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _limit_figures(control, step_max, f, before, limits)
+    at_limit, violated = _count_at_limits(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -76,10 +71,10 @@ def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tupl
     return float(np.degrees(turned)), float(reversals)
 
 
-def _limit_figures(
+def _count_at_limits(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Return the share of steps with a thruster at its limit, and the steps with one beyond it.
+    """Return the share of steps with a thruster at its limit, and the steps beyond one.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """

@@ -18,7 +18,7 @@ Steps = Mapping[str, NDArray[Any]]
 
 
 def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dict[str, Any]:
-    """Return step times over the steps that count; percentiles where samples support them."""
+    """Return the percentiles of step times, raw and best of rounds, over the steps that count."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
     second = f"{SECOND_QP_PREFIX}setup_once_ns"
@@ -59,7 +59,7 @@ def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dic
 
 
 def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """Return the rounds (R,), and values (R, K) by round and step, NaN for a missing step."""
+    """Return the rounds (R,), and values (R, K) by round and step; NaN for a missing step."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -68,7 +68,7 @@ def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32]
 
 
 def _cascade_times(counting: Steps) -> dict[str, float]:
-    """Return the times of both QPs of a cascade; none of other loops."""
+    """Return the percentiles of both QPs' times in a cascade; none for other loops."""
     if "allocation_ns" not in counting:
         return {}
     second = counting["allocation_ns"].astype(np.float64)
@@ -88,10 +88,7 @@ def reference_kernel_median(columns: Columns) -> float:
 
 
 def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """Return the load kernel time [ns]: per pass the minimum over the rounds that count.
-
-    Of the passes before and after a round the geometric mean.
-    """
+    """Return the load kernel time [ns]: minimum over counting rounds, mean over passes."""
     rounds = np.unique(columns["repeat"])
     passes = columns["load_kernel_ns"].astype(np.float64)[np.isin(rounds, counting)]
     passes = np.where(passes > 0, passes, np.nan)
@@ -100,7 +97,7 @@ def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
 
 
 def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
-    """Return the disturbed rounds of an evaluated replay."""
+    """Return the disturbed rounds of an evaluated replay, by its reference kernel times."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
     return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
 
@@ -108,13 +105,8 @@ def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
 def deadline_columns(
     delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
-    """Return `late` and, on a slow computer, `latency_ns` of the steps of a loop.
-
-    Parameters
-    ----------
-    latency_ns : (K,) of the slow computer; total_ns : (K,) measured times.
-    """
-    if not delay.simulated:
+    """Return whether each step (K,) of a loop was late, and its latency on a slow computer [ns]."""
+    if not delay.is_simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
     late = idle | (latency_ns > delay.budget_ns)
@@ -123,13 +115,13 @@ def deadline_columns(
 
 def longest_streak(flags: Flags) -> int:
     """Return the length of the longest run of true entries."""
-    starts, ends = _true_runs(flags)
+    starts, ends = _find_true_runs(flags)
     return int((ends - starts).max()) if len(starts) else 0
 
 
 def steps_to_recover(bad: Flags, good: Flags) -> int | None:
-    """Return the most steps from the start of a bad run to a good one, or None."""
-    starts, _ = _true_runs(bad)
+    """Return the most steps from the start of a bad run to a good step; None if never."""
+    starts, _ = _find_true_runs(bad)
     good_at = np.flatnonzero(good)
     after = np.searchsorted(good_at, starts)
     recovered = after < len(good_at)
@@ -138,14 +130,14 @@ def steps_to_recover(bad: Flags, good: Flags) -> int | None:
     return int((good_at[after] - starts).max())
 
 
-def _true_runs(flags: Flags) -> tuple[Ints, Ints]:
-    """Return the first entries of the runs of true ones, and the entries after their last."""
+def _find_true_runs(flags: Flags) -> tuple[Ints, Ints]:
+    """Return the first index of each run of true entries, and the index after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return edges[::2], edges[1::2]
 
 
 def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
-    """Return misses, streaks and recovery of a loop; latencies too where it is slow."""
+    """Return deadline misses, longest streak, recovery and latencies of a closed loop."""
     late, true = steps["late"], steps["true"]
     recovered = steps_to_recover(late, true & ~late)
     total = _drop_missing(steps["total_ns"])
@@ -164,5 +156,5 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 
 def _drop_missing(times_ns: Ints) -> Floats:
-    """Return the times that are not missing."""
+    """Return the times that are not `MISSING_INT`, as floats [ns]."""
     return times_ns[times_ns > MISSING_INT].astype(np.float64)

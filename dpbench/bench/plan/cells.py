@@ -31,7 +31,7 @@ from dpbench.bench.record.cell import (
     RecordedSource,
 )
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.sequences.recording import read_sequence, source_digest
+from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import positive_definite
@@ -48,7 +48,7 @@ NO_MODEL = "sparse: there is no model whose states to keep"
 
 @dataclass(frozen=True)
 class PlannedCell:
-    """A cell to run, or the reason why it is a row without running.
+    """A cell to run, or with a reason to refuse it, which gives a row without running.
 
     `alias_settings` are further names of the same settings, shown as rows of their own.
     """
@@ -66,7 +66,7 @@ def plan_cell(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
-    """Return the cell of one configuration of a table, or why it is refused.
+    """Return the cell of one configuration of a suite table, or why it is refused.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def plan_cell(
         settings=configuration.settings,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(own_limit_s or suite.cell_limit_s) + _waiting_s(configuration, **fields),
+        limit_s=(own_limit_s or suite.cell_limit_s) + _intended_wait_s(configuration, **fields),
         solver_module=plugin_file(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
@@ -104,12 +104,12 @@ def replay_cells(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """Return the cells of a replay of so many steps; arguments as of `plan_cell`.
+    """Return the replay cells of `steps` QPs, one for each configuration of a suite table.
 
     Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
     share of the budgets of its stretch, and a short warm-up.
     """
-    share = steps / source.stretch(steps)
+    share = steps / source.count_stretch_steps(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {
             "budget_s": share * suite.replay_budget_s,
@@ -134,15 +134,15 @@ def replay_cells(
     ]
 
 
-def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
-    """Return the intended waiting time of a configuration, every round repeated; mostly 0."""
+def _intended_wait_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
+    """Return how long a calibration configuration waits on purpose [s]; 0 for solvers."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return the cells of all recorded sequences of a suite.
+    """Return the replay cells of all recorded sequences that a suite names.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def recorded_cells(
         path = sequence_path(table.sequence, beside)
         # Another installation has a stored sequence in another folder.
         origin = table.sequence if is_stored(table.sequence) else str(path)
-        sha256, sequence = source_digest(path), read_sequence(path).sequence
+        sha256, sequence = hash_sequence_files(path), read_sequence(path).sequence
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"
@@ -174,12 +174,7 @@ def recorded_cells(
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """Return the cells of a capability plot.
-
-    Raises
-    ------
-    InputError : for a vessel without thrusters or the hull that the plot needs.
-    """
+    """Return the cells that solve a capability plot's QPs; InputError without thrusters or hull."""
     files = read_vessel_documents(table.vessel, beside=beside)
     cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
@@ -192,19 +187,19 @@ def capability_cells(
 
 
 def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
-    """Return the cell, refused if its solver needs P > 0."""
+    """Return the planned cell, refused if its solver needs P > 0."""
     needs = find_record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
-    """Return the cells of a table of random sequences."""
+    """Return the cells that solve the random sequences of a suite table."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
     cells: list[PlannedCell] = []
-    for recipe in table.recipes():
-        source = RandomSource.of(recipe)
+    for recipe in table.list_recipes():
+        source = RandomSource.from_recipe(recipe)
         planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
         semidefinite = FAMILIES[recipe.family].semidefinite
         cells += map(_refuse_semidefinite, planned) if semidefinite else planned

@@ -27,7 +27,7 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """Return the solvers of a suite, or those of `only`.
+    """Return the solvers of a suite, or those of `only` where some are chosen.
 
     "all" means every solver of the table except those of an optional extra that is not installed
     (`dpbench list solvers`), which have to be named.
@@ -37,11 +37,11 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     UnknownNameError : for an unknown solver.
     InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
-    named = _solvers_of_key("solvers", suite.solvers)
+    named = _resolve_solvers("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
-            if table.solvers and not set(_solvers_of_key(key, table.solvers)) & set(named):
+            if table.solvers and not set(_resolve_solvers(key, table.solvers)) & set(named):
                 found = ", ".join(table.solvers)
                 allowed = f"a solver of the suite: {list_allowed(found, named)}"
                 raise InputError("suite", key, found, allowed)
@@ -57,8 +57,8 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _solvers_of_key(key: str, names: Sequence[str]) -> list[str]:
-    """Return the solvers that a key of a suite names."""
+def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
+    """Return the solvers that a key of the suite names; UnknownNameError with that key."""
     try:
         return _expand_names(names)
     except UnknownNameError as error:
@@ -66,7 +66,7 @@ def _solvers_of_key(key: str, names: Sequence[str]) -> list[str]:
 
 
 def _expand_names(names: Sequence[str]) -> list[str]:
-    """Return the solvers of some names, with "all" expanded."""
+    """Return solver names without repeats, with "all" replaced by all default solvers."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
@@ -77,11 +77,12 @@ def _expand_names(names: Sequence[str]) -> list[str]:
 
 
 def _is_default_solver(solver: str) -> bool:
+    """Return whether "all" includes a solver: no optional extra, or that is installed."""
     return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 
 def check_backup(name: str) -> tuple[str, str]:
-    """Return the backup of a closed loop and why it cannot be opened here, "" for neither.
+    """Return the backup solver of a closed loop, and why it cannot be opened; "" for neither.
 
     Raises
     ------
@@ -90,7 +91,7 @@ def check_backup(name: str) -> tuple[str, str]:
     """
     if not name:
         return "", ""
-    (solver,) = _solvers_of_key("closed_loop.backup", [name]) if name != "all" else ("",)
+    (solver,) = _resolve_solvers("closed_loop.backup", [name]) if name != "all" else ("",)
     if not solver or plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
@@ -99,25 +100,25 @@ def check_backup(name: str) -> tuple[str, str]:
 
 
 def library_identity(cell: Cell, library: Availability) -> str:
-    """Return version and build of the library of a cell's solver, and of its backup's."""
+    """Return version and build of the libraries of a cell's solver and backup solver."""
     if not cell.backup:
         return library.identity
     return f"{library.identity}, backup {check_availability(cell.backup).identity}"
 
 
 def plugin_file(solver: str) -> str:
-    """Return the plug-in file that a worker has to load; "" for other solvers."""
+    """Return the plug-in file that a worker loads to have a solver; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
 def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
-    """Return the configurations of one table of a suite, on the routes each solver has.
+    """Return all configurations of a suite table: solver, route, policy, settings, units, form.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
     have one call mode, whatever the table has, and take part in timed replays alone.
     """
-    solvers = _select_participants(solvers, table)
+    solvers = _select_solvers(solvers, table)
     if not solvers:
         return []
     for name in table.settings:
@@ -149,8 +150,8 @@ def list_configurations(solvers: Sequence[str], table: Table) -> list[Configurat
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
 
-def _select_participants(solvers: Sequence[str], table: Table) -> list[str]:
-    """Return the suite's solvers that a table means."""
+def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
+    """Return the suite's solvers that take part in a table, by its `solvers` and `without`."""
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
     named = _expand_names(table.solvers) if table.solvers else solvers
@@ -159,7 +160,7 @@ def _select_participants(solvers: Sequence[str], table: Table) -> list[str]:
 
 
 def find_refusal(configuration: Configuration) -> str:
-    """Return why a configuration cannot run; "" where it can."""
+    """Return why a configuration cannot run on this machine; "" where it can."""
     here = check_availability(configuration.solver)
     if not here.ok:
         return here.reason

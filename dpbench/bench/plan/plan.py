@@ -21,7 +21,7 @@ from dpbench.bench.plan.configurations import (
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
-from dpbench.bench.sequences.loop_sequences import commanded_thruster_rows
+from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.horizons import Horizons
@@ -53,17 +53,17 @@ def plan(
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)
-    stems = _check_names([*loaded.values(), *swept.values()])
+    stems = _list_unique_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[PlannedCell] = []
     for closed in suite.closed_loop:
-        for name in closed.names:
+        for name in closed.scenario_list:
             if name in wanted:
                 cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
     if not scenarios:
         cells += study_cells(suite, chosen, beside)
     for replay in suite.replay:
-        for pair in replay.pairs if replay.scenario in wanted else ():
+        for pair in replay.horizon_pairs if replay.scenario in wanted else ():
             name = replay.scenario
             scenario = loaded[name] if pair is None else swept[name, pair]
             cells += _replay_cells(suite, replay, scenario, chosen)
@@ -79,8 +79,8 @@ def plan(
     return _merge_equal_cells(cells)
 
 
-def _check_names(scenarios: Sequence[Scenario]) -> list[str]:
-    """Return their names; InputError when two have the same."""
+def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
+    """Return the names of scenarios; InputError where two have the same."""
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
         if stems.count(stem) > 1:
@@ -92,16 +92,15 @@ def _check_names(scenarios: Sequence[Scenario]) -> list[str]:
 def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """Return the scenarios of the replays under each pair of horizons of a table."""
-    asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
+    """Return each replayed scenario under the other horizons that replay tables name."""
+    asked = {
+        (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
+    }
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
 def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Return each cell once, with all names of its settings.
-
-    Two tables may have the same cell, e.g. by its route's name and as the default one.
-    """
+    """Return each cell once; equal cells are merged with all names of their settings."""
     once: dict[str, PlannedCell] = {}
     for planned in cells:
         key = planned.cell.key
@@ -115,6 +114,7 @@ def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
+    """Return the closed-loop cells of a scenario, one for each configuration and slow-down."""
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
@@ -153,6 +153,7 @@ def _closed_loop_cells(
 def _replay_cells(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
+    """Return the replay cells of a scenario's reference loop, of a window or of failures."""
     if table.first >= scenario.steps:
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
@@ -182,7 +183,7 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """Refuse a window that is larger than its stretch, or of other QPs than a loop's."""
+    """Raise InputError where a table's window of hardest steps is impossible."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
@@ -196,6 +197,7 @@ def _check_window(table: ReplayTable, scenario: Scenario) -> None:
 
 
 def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
+    """Return the name of a replayed part of a scenario, with its steps unless from the start."""
     window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     return f"{scenario.name}{window}"
 
@@ -207,8 +209,8 @@ def _consequence_cells(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """Return the cells of each failure group, without the harness's own configurations."""
-    thrusters, _ = commanded_thruster_rows(scenario)
+    """Return the consequence-analysis cells of each failure group of a scenario's ship."""
+    thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")

@@ -14,7 +14,12 @@ from pydantic import BaseModel
 from dpbench.bench.judge.rules import supports_percentile
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors, sequence_suite
+from dpbench.bench.plan.suite import (
+    SuiteFile,
+    build_sequence_suite,
+    load_suite,
+    name_file_in_errors,
+)
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import sequence_path
@@ -23,12 +28,9 @@ from dpbench.solvers.table import load_solver_module
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All requested cells.
+    """All cells that a request means, with the suite they come from.
 
-    Parameters
-    ----------
-    path : the file of the suite; document : its requested content.
-    part : whether it is less than the whole suite.
+    `document` is the requested content of the suite; `part` tells whether it is less than all.
     """
 
     name: str
@@ -39,7 +41,7 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of all cells, which tells plans apart."""
+        """Hash of the descriptions of all cells, by which plans are compared."""
         digest, separator = hashlib.sha256(), b""
         # One by one: all texts joined would take as much memory again.
         for text in sorted(planned.cell.to_json() for planned in self.cells):
@@ -50,7 +52,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A request; its fields are arguments of `run_campaign`."""
+    """The run that a user asks for: a suite or a sequence, and a choice of its parts."""
 
     suite: str | None = None
     sequence: str | None = None
@@ -61,10 +63,10 @@ class RunRequest:
     solver_module: str | None = None
 
     def plan(self) -> Plan:
-        """Return the requested cells; InputError for what cannot be run."""
+        """Return the plan of all requested cells; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
-        name, path, document = self._load_request()
+        name, path, document = self._load_suite()
         chosen = {"scenarios": self.scenarios, "settings": self.settings}
         document = select_part(document, steps=self.steps, **chosen)
         with name_file_in_errors(path, chosen=bool(self.settings)):
@@ -76,29 +78,29 @@ class RunRequest:
 
     @property
     def _suite_file(self) -> Path | None:
-        """File of the suite; None where it has a name, or is none."""
+        """Path of the suite's TOML file; None for a suite by name, or no suite."""
         named = self.suite is None or not self.suite.endswith(".toml")
         return None if named else Path(str(self.suite))
 
     @property
-    def is_here(self) -> bool:
-        """Whether the suite can be read on this machine."""
+    def has_suite(self) -> bool:
+        """Return whether the suite can be read on this machine."""
         return self._suite_file is None or self._suite_file.is_file()
 
-    def from_anywhere(self) -> RunRequest:
-        """Return the request with an absolute path of its suite."""
+    def with_absolute_path(self) -> RunRequest:
+        """Return the request with the suite's path made absolute."""
         file = self._suite_file
         return self if file is None else replace(self, suite=str(file.resolve()))
 
-    def _load_request(self) -> tuple[str, Path, SuiteFile]:
-        """Return name, file and document of the suite, or of one that replays a sequence."""
+    def _load_suite(self) -> tuple[str, Path, SuiteFile]:
+        """Return name, file and content of the requested suite, or of one for a sequence."""
         if self.suite is not None and self.sequence is None:
             path, document = load_suite(self.suite)
             return path.stem, path, document
         if self.sequence is not None and self.suite is None:
             meta = read_sequence(sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
-            return name, Path("suite"), sequence_suite(self.sequence, meta)
+            return name, Path("suite"), build_sequence_suite(self.sequence, meta)
         both = f"suite {self.suite} and --sequence {self.sequence}"
         found = "neither" if self.suite is None else both
         raise InputError("run", "", found, "a suite, or --sequence PATH")
@@ -111,7 +113,7 @@ def select_part(
     settings: Sequence[str] | None = None,
     steps: int | None = None,
 ) -> SuiteFile:
-    """Return the requested part of a suite.
+    """Return a suite reduced to some scenarios, settings and steps.
 
     Parameters
     ----------
@@ -128,7 +130,7 @@ def select_part(
         raise InputError("--steps", "", steps, "a whole number, 1 or more")
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
-        key: list(getattr(suite, key)) for key in SuiteFile.tables_of_cells()
+        key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()
     }
     if not set(asked) <= set(suite.scenario_names):
         tables["closed_loop"] = [
@@ -158,11 +160,12 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _copy_with(model: Model, **update: object) -> Model:
+    """Return a copy of a pydantic model with some fields replaced."""
     return model.model_copy(update=update)
 
 
-def plan_remarks(planned: Sequence[PlannedCell]) -> list[str]:
-    """Return the limits of what the plan can answer."""
+def list_plan_limits(planned: Sequence[PlannedCell]) -> list[str]:
+    """Return remarks on what a plan cannot measure, such as a p99 with too few steps."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports_percentile(max(lengths), 99):

@@ -22,13 +22,7 @@ from dpbench.scenario.variation import (
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
-    """Return the cells of all studies of a suite, in the order of their points.
-
-    Raises
-    ------
-    InputError : for a key that the scenario has not, a value it cannot have, or one without effect
-        in the steps that run.
-    """
+    """Return the closed-loop cells of a suite's studies; InputError for a key without effect."""
     cells: list[PlannedCell] = []
     titles = [table.title for table in suite.study]
     for table in suite.study:
@@ -48,6 +42,7 @@ def _plan_study(
     solvers: Sequence[str],
     beside: Path | None,
 ) -> list[PlannedCell]:
+    """Return the cells of one study: each point with each configuration."""
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: read_value(base, key, where) for key in keys}
@@ -58,7 +53,7 @@ def _plan_study(
     return [
         _cell_at_point(blank, table, point, *documents)
         for point in points
-        for documents in (scenarios.documents(point),)
+        for documents in (scenarios.scenario_documents(point),)
         for blank in blanks
     ]
 
@@ -66,7 +61,7 @@ def _plan_study(
 def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return the cells of the base scenario, one for each configuration."""
+    """Return a cell for each configuration in the unchanged base scenario of a study."""
     calls = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [
@@ -92,7 +87,7 @@ def _plan_base_cells(
 def _cell_at_point(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, files: ScenarioDocuments, steps: int
 ) -> PlannedCell:
-    """Return the cell of a configuration at a point with these documents and steps."""
+    """Return a base cell changed to the scenario documents of one study point."""
     cell = replace(
         blank.cell,
         scenario=files,
@@ -103,7 +98,7 @@ def _cell_at_point(
 
 
 class _ScenarioCache:
-    """The scenario of a study at its points; the latest stays, shared by configurations."""
+    """Builder of the scenarios at a study's points, which keeps the latest one."""
 
     def __init__(self, base: Scenario, where: str, beside: Path | None) -> None:
         self._base, self._where, self._beside = base, where, beside
@@ -111,32 +106,32 @@ class _ScenarioCache:
         self._scenario = base
         self._point: tuple[Point, Scenario] | None = None
 
-    def documents(self, point: StudyPoint) -> tuple[ScenarioDocuments, int]:
-        """Return documents and steps of the scenario of a point."""
+    def scenario_documents(self, point: StudyPoint) -> tuple[ScenarioDocuments, int]:
+        """Return the scenario documents of a study point, and the number of steps."""
         same = self._point is not None and self._point[0] == point.values
         if self._point is None or not same or point.of_replicate.keys() - {SEED}:
-            self._point = point.values, self.at(point.values | point.of_replicate)
+            self._point = point.values, self.build(point.values | point.of_replicate)
             return self._point[1].files, self._point[1].steps
         # A scenario in another sea need not be made to know that it can be.
         known = self._point[1]
         return documents_with_values(known.files, point.of_replicate, self._where), known.steps
 
-    def at(self, values: Point) -> Scenario:
-        """Return the scenario with these values of its keys."""
+    def build(self, values: Point) -> Scenario:
+        """Return the base scenario with the values of some keys replaced."""
         if values != self._values:
             self._scenario = with_values(self._base, values, self._where, beside=self._beside)
             self._values = values
         return self._scenario
 
-    def trial(self, values: Point) -> Scenario | None:
-        """Return the scenario with these values; None where they cannot be combined."""
+    def try_build(self, values: Point) -> Scenario | None:
+        """Return the base scenario with some values replaced; None where they are invalid."""
         try:
-            return self.at(values)
+            return self.build(values)
         except InputError:
             return None
 
-    def refuse(self, key: str, steps: int) -> None:
-        """Raise InputError for a key without effect in the first `steps` steps."""
+    def refuse_key(self, key: str, steps: int) -> None:
+        """Raise InputError for a key that changes nothing in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.is_random:
@@ -148,32 +143,32 @@ class _ScenarioCache:
 def _refuse_idle_keys(
     table: StudyTable, points: Sequence[StudyPoint], scenarios: _ScenarioCache
 ) -> None:
-    """Raise InputError for a key of which two values make no difference.
+    """Raise InputError for a study key whose values make no difference to a run.
 
     It is tried at the first point and at the last one, as a seed has no effect in a calm sea.
     """
     again = table.replicates
-    tried = {key: _two_values(key, points) for key in table.keys}
+    tried = {key: _pick_two_values(key, points) for key in table.keys}
     if again.count > 1:
         tried[again.key] = [again.first, again.first + 1]
     ends: list[Mapping[str, object]] = [points[i].values | points[i].of_replicate for i in (0, -1)]
     for key, pair in tried.items():
         if len(pair) < 2:
             continue
-        trials = [[scenarios.trial({**end, key: value}) for value in pair] for end in ends]
+        trials = [[scenarios.try_build({**end, key: value}) for value in pair] for end in ends]
         if not any(_may_differ(one, other, table.steps) for one, other in trials):
-            scenarios.refuse(key, table.steps)
+            scenarios.refuse_key(key, table.steps)
 
 
 def _may_differ(one: Scenario | None, other: Scenario | None, steps: int) -> bool:
-    """Return whether two runs can differ; None is a scenario that cannot be made."""
+    """Return whether two scenarios can behave differently; None is an invalid scenario."""
     if one is None or other is None or one.steps != other.steps:
         return True
     return behave_differently(one, other, min(steps or one.steps, one.steps))
 
 
-def _two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:
-    """Return the first value of a key, and the first other one if there is any."""
+def _pick_two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:
+    """Return the first value of a key in the points, and the first other one if any."""
     first = points[0].values[key]
     other = next((p.values[key] for p in points if p.values[key] != first), None)
     return [first] if other is None else [first, other]

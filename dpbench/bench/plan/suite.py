@@ -25,12 +25,14 @@ FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 def _check_slowdown(value: float) -> float:
+    """Return a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
 def _check_fallback(name: str) -> str:
+    """Return the name of a fallback policy; ValueError for an unknown one."""
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
@@ -43,7 +45,7 @@ Slowdown = Annotated[float, AfterValidator(_check_slowdown)]
 
 
 class RequirementsTable(FileModel):
-    """What a controller requires of a solver."""
+    """Requirements of a controller on a solver: errors, failed steps, step time, deadline."""
 
     error_move: Positive = 1e-2
     """Largest error of the first move on any step, in rate-limit steps."""
@@ -56,7 +58,7 @@ class RequirementsTable(FileModel):
 
 
 class ClosedLoopTable(RunsTable):
-    """Every solver steers the ship itself; route "default" is each solver's own."""
+    """Closed loops of a suite: every solver controls the ship of each scenario by itself."""
 
     scenarios: list[str]
     """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
@@ -84,15 +86,15 @@ class ClosedLoopTable(RunsTable):
     """Only the first steps; 0: all."""
 
     @property
-    def names(self) -> list[str]:
-        """The scenarios, each with each vessel."""
+    def scenario_list(self) -> list[str]:
+        """Names of the scenarios to run, each with each vessel."""
         if not self.vessels:
             return self.scenarios
         return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
 class ReplayTable(RunsTable):
-    """Identical QPs, recorded along the exactly solved loop, through every solver.
+    """Replays of a suite: the QPs along one exactly solved loop, through every solver.
 
     Consequence analysis has a sequence for each failure group of the ship, which tells whether the
     other thrusters could take over at each sample. The hardest step has most active limits and
@@ -123,13 +125,13 @@ class ReplayTable(RunsTable):
     """Forms of the QP a solver is given."""
 
     @property
-    def pairs(self) -> list[Horizons | None]:
-        """The horizons to run under; None for those of the tuning."""
+    def horizon_pairs(self) -> list[Horizons | None]:
+        """Pairs of horizons to replay under; None for those of the tuning."""
         return [parse_horizons(text) for text in self.horizons] or [None]
 
 
 class RandomTable(RunsTable):
-    """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
+    """Random QPs of a suite, each with a planted optimum: families × sizes × seeds.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
@@ -149,8 +151,8 @@ class RandomTable(RunsTable):
     cond: NotNegative = 0.0
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
-    def recipes(self) -> list[RandomRecipe]:
-        """Return the recipes of the table; InputError for an impossible one."""
+    def list_recipes(self) -> list[RandomRecipe]:
+        """Return the recipes of all random sequences; InputError for an impossible one."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
             for family in self.families
@@ -160,7 +162,7 @@ class RandomTable(RunsTable):
 
 
 class RecordedTable(RunsTable):
-    """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
+    """Recorded QPs of a suite: a stored sequence by name, a `.npz` file, or a folder.
 
     A relative path is looked for beside the suite first. Such QPs have no units but their own.
     """
@@ -173,7 +175,7 @@ class RecordedTable(RunsTable):
 
 
 class CapabilityTable(RunsTable):
-    """The capability plot of a ship (DNV-ST-0111, level 1), and its QPs through every solver.
+    """A DP capability plot (DNV-ST-0111, level 1), and its QPs through every solver.
 
     It is the largest wind the thrusters hold from 36 directions, intact and after each failure. Its
     QPs have no units but their own, and no deadline: each is solved in one round.
@@ -197,7 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """What the report shows first, e.g. the one step that a suite is about."""
+    """Settings of the report of a suite: its baseline and the step it shows first."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -208,7 +210,7 @@ class ReportTable(FileModel):
 
 
 class SuiteFile(FileModel):
-    """`problems/suites/*.toml`; 0 steps means all steps.
+    """Content of a suite, `problems/suites/*.toml`; 0 steps means all steps.
 
     A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
@@ -256,20 +258,20 @@ class SuiteFile(FileModel):
     """Capability plots, and the QPs at their edge through every solver."""
 
     @classmethod
-    def tables_of_cells(cls) -> list[str]:
-        """Return the names of the tables that are groups of cells."""
+    def list_cell_tables(cls) -> list[str]:
+        """Return the names of the suite's tables that become cells."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
     def scenario_names(self) -> list[str]:
-        """All scenarios that it names, once each."""
-        known = [name for table in self.closed_loop for name in table.names]
+        """Names of all scenarios in the suite's loops and replays, once each."""
+        known = [name for table in self.closed_loop for name in table.scenario_list]
         return list(dict.fromkeys([*known, *(table.scenario for table in self.replay)]))
 
 
 @contextmanager
 def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
-    """Name the file in errors about "the suite", its scenarios and settings.
+    """Replace "the suite" by its path in input errors raised within the block.
 
     Settings that were `chosen` on the command line are not the file's.
     """
@@ -293,7 +295,7 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
-    """Return a suite by name or TOML path, with its file; InputError if it is bad."""
+    """Return path and content of a suite, by name or TOML path; InputError if it is bad."""
     path = problem_path("suites", name_or_path)
     document = read_toml(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
@@ -311,8 +313,8 @@ _MODE_VALUES: dict[str, Collection[str]] = {
 _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
 
-def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
-    """Return the suite that replays one sequence through every solver, default and high.
+def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
+    """Return a suite that replays one sequence through every solver.
 
     A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
     another route or policy has other iterations, or none.
@@ -327,14 +329,14 @@ def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -
         for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
     ):
         calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
-        report = _searched_step(meta)
+        report = _read_worst_case_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
     return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
 
 
-def _searched_step(meta: Mapping[str, object]) -> ReportTable:
-    """Return the step of a worst case and its solver; an empty table where there is none."""
+def _read_worst_case_step(meta: Mapping[str, object]) -> ReportTable:
+    """Return a report table with the worst-case step noted in a sequence; empty without one."""
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()

@@ -24,7 +24,7 @@ from dpbench.solvers.contract import Policy, Route
 
 @dataclass(frozen=True)
 class QPSource:
-    """A source of QPs; `name` is that of the replayed sequence.
+    """A source of a replay's QPs; `name` is that of the replayed sequence.
 
     Attributes
     ----------
@@ -42,37 +42,37 @@ class QPSource:
     name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description as plain values for JSON; none without a source."""
+        """Return the source as a JSON object; empty where the QPs are the controller's own."""
         return {"kind": self.kind, **asdict(self)} if self.kind else {}
 
-    def stretch(self, steps: int) -> int:
-        """Return the steps of its loop or sequence from which so many are chosen."""
+    def count_stretch_steps(self, steps: int) -> int:
+        """Return how many steps of its loop or sequence a replay of `steps` is chosen from."""
         return steps
 
 
 class ControllerSource(QPSource):
-    """The controller of the cell's scenario, along the reference loop."""
+    """QPs of the scenario's controller along its exactly solved loop."""
 
     is_of_controller = True
 
 
 @dataclass(frozen=True)
 class HardestSource(QPSource):
-    """The hardest consecutive steps of a stretch of `of` steps of the reference loop."""
+    """The hardest consecutive QPs among `of` steps of the exactly solved loop."""
 
     kind = "hardest"
     is_of_controller = True
 
     of: int = 0
 
-    def stretch(self, steps: int) -> int:
-        """Return the length of the stretch."""
+    def count_stretch_steps(self, steps: int) -> int:
+        """Return how many steps the hardest ones are chosen from."""
         return self.of
 
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """The loss of the failure group `group` along the reference loop."""
+    """Consequence-analysis QPs along the exactly solved loop: the failure group `group` lost."""
 
     kind = "consequence"
     is_judged = False
@@ -82,7 +82,7 @@ class ConsequenceSource(QPSource):
 
 @dataclass(frozen=True)
 class CapabilitySource(QPSource):
-    """The capability boundary of a ship (`read_vessel_documents`), by polygons of some sides."""
+    """QPs at a ship's wind limits, with polygons of `sides` in place of thrust circles."""
 
     kind = "capability"
     is_timed = is_judged = False
@@ -94,7 +94,7 @@ class CapabilitySource(QPSource):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomSource(QPSource):
-    """A random sequence."""
+    """QPs of a random sequence, made from a recipe."""
 
     kind = "random"
     is_timed = is_judged = False
@@ -102,14 +102,14 @@ class RandomSource(QPSource):
     recipe: RandomRecipe
 
     @classmethod
-    def of(cls, recipe: RandomRecipe) -> RandomSource:
-        """Return the source of a recipe, named after it."""
+    def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
+        """Return the source of a random recipe, named after it."""
         return cls(name=recipe.name, recipe=recipe)
 
 
 @dataclass(frozen=True)
 class RecordedSource(QPSource):
-    """A recorded file or folder, by its SHA-256."""
+    """QPs of a recorded file or folder, identified by its SHA-256."""
 
     kind = "recorded"
 
@@ -123,23 +123,18 @@ SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KIND
 
 
 def parse_source(values: Mapping[str, Any]) -> QPSource:
-    """Return the source of a description.
-
-    Raises
-    ------
-    InputError : for an unknown kind.
-    ValidationError : for invalid values.
-    """
+    """Return the QP source that a JSON object describes; InputError or ValidationError if bad."""
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))
     if kind not in SOURCES:
         raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
-    return _adapter(kind).validate_python(values)
+    return _source_validator(kind).validate_python(values)
 
 
 @cache
-def _adapter(kind: str) -> TypeAdapter[QPSource]:
+def _source_validator(kind: str) -> TypeAdapter[QPSource]:
+    """Return the pydantic validator for one kind of QP source."""
     return TypeAdapter(SOURCES[kind])
 
 
@@ -174,7 +169,7 @@ class StudyRealisation:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: problem × solver × route × policy × settings × formulation × units, in one mode.
+    """One cell of a campaign: a problem and mode, with solver, call mode, settings and units.
 
     Parameters
     ----------
@@ -222,7 +217,7 @@ class Cell:
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario, with an unusual backup and fallback; may be empty."""
+        """Name of the scenario, with backup and fallback where unusual; empty without scenario."""
         name = str(self.scenario["name"]) if self.scenario else ""
         if self.mode == "replay":
             return name
@@ -243,50 +238,50 @@ class Cell:
 
     @property
     def is_timed(self) -> bool:
-        """Whether it is a replay whose times are compared."""
+        """Return whether the cell is a replay whose times are compared."""
         return self.mode == "replay" and self.source.is_timed
 
     @property
     def is_window(self) -> bool:
-        """Whether it replays the hardest steps of a stretch."""
+        """Return whether the cell replays only the hardest steps of a sequence."""
         return isinstance(self.source, HardestSource)
 
     @property
     def last_step(self) -> int:
-        """Sample behind the last one needed of its source."""
-        return self.first + self.source.stretch(self.steps)
+        """Number of steps that the source of the QPs must have."""
+        return self.first + self.source.count_stretch_steps(self.steps)
 
     def source_key(self, harness_version: str) -> str:
-        """Return a key shared by cells with the same file behind their QPs."""
+        """Return a hash shared by all cells whose QPs are read from the same file."""
         # A loop is solved once, whatever is made of it.
-        return _digest([self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION])[
-            :12
-        ]
+        return _hash_json(
+            [self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION]
+        )[:12]
 
     @property
     def problem_key(self) -> str:
-        """Key shared by cells with the same QPs (replay) or the same ship (closed loop)."""
-        description = self._description()
-        return _digest([description.get(name) for name in _PROBLEM])
+        """Hash shared by cells with the same QPs (replay) or the same ship (closed loop)."""
+        description = self._to_dict()
+        return _hash_json([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
-        """Key of this cell alone."""
-        return _digest(self._description())
+        """Hash of all fields of the cell."""
+        return _hash_json(self._to_dict())
 
-    def _description(self) -> dict[str, Any]:
-        """Return all fields but the unused ones of `_OPTIONAL`, so that keys stay the same."""
+    def _to_dict(self) -> dict[str, Any]:
+        """Return the fields as a JSON object, without optional ones that are unused."""
         study = {} if self.study is None else vars(self.study)
         values = vars(self) | {"source": self.source.to_dict(), "study": study}
         return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
-        """Return the description as JSON."""
-        return json.dumps(self._description(), sort_keys=True, ensure_ascii=False)
+        """Return the cell as JSON text, from which it can be run again."""
+        return json.dumps(self._to_dict(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
-        """Return the cell of a description."""
+        """Return the cell that a JSON text describes."""
         values = json.loads(text)
         values["source"] = parse_source(values.get("source", {}))
         if "study" in values:
@@ -294,16 +289,19 @@ class Cell:
         return cls(**values)
 
     def with_settings(self, name: str) -> Cell:
-        """Return this cell under another name of its settings."""
+        """Return this cell under another name of its solver settings."""
         return replace(self, settings=name)
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
-        """Return the hash of the cell and all that its result depends on (method.md section 5)."""
-        description = self._description()
-        return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
+        """Return a hash of the cell, solver version, machine and dpbench version."""
+        description = self._to_dict()
+        return _hash_json(
+            [description, solver_version, machine_id, harness_version, SCHEMA_VERSION]
+        )
 
 
-def _digest(value: object) -> str:
+def _hash_json(value: object) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 of a value as JSON."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -314,7 +312,7 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a process: `outcome` of `OUTCOMES`, its cause, the form given to the solver.
+    """Outcome of a cell's process, with its cause and the size of the QP given to the solver.
 
     n, m : size of the QP given to the solver; None where it got none.
     peak_bytes : largest resident memory of its process; None where unknown.

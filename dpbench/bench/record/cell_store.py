@@ -32,14 +32,14 @@ from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     NO_RUNS,
     BatchPart,
+    build_runs_table,
     complete_runs,
     complete_steps,
+    encode_part,
     encode_steps,
-    filter_runs,
-    frame_of_runs,
-    part_of,
-    runs_in,
-    runs_table,
+    filter_steps,
+    read_part_runs,
+    runs_to_frame,
     write_runs,
 )
 from dpbench.errors import InputError
@@ -72,7 +72,7 @@ _OWN_FILE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class StepGroup:
-    """Steps of some runs in one row group of a file.
+    """Rows of `steps.parquet` of some runs, in one row group of a file.
 
     Parameters
     ----------
@@ -87,52 +87,52 @@ class StepGroup:
     footer: Footer | None
     read: Callable[[], pa.Table]
 
-    def table(self) -> pa.Table:
-        """Return these steps (`FILE_SCHEMA`); one of `DAMAGE` where they cannot be read."""
-        return filter_runs(complete_steps(self.read()), set(self.names))
+    def read_table(self) -> pa.Table:
+        """Return the steps of these runs as an Arrow table; an error of `DAMAGE` if unreadable."""
+        return filter_steps(complete_steps(self.read()), set(self.names))
 
 
 class Source(ABC):
-    """A place of finished cells: the public tables, or a part; `steps` is its file of steps."""
+    """A place that finished cells are read from: the public tables, or a part file."""
 
     steps: Path
 
     @abstractmethod
-    def rows(self) -> Iterator[pa.Table]:
-        """Return rows of finished runs (`RUNS_SCHEMA`); one of `DAMAGE` where they are damaged."""
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield rows of finished runs as Arrow tables; an error of `DAMAGE` if damaged."""
 
     @abstractmethod
     def is_sound(self) -> bool:
-        """Return whether the steps have the bytes that were written."""
+        """Return whether the file of steps has the bytes that were written."""
 
     @abstractmethod
     def remove(self) -> None:
-        """Remove its files."""
+        """Delete the files that finished cells are read from."""
 
-    def table(self) -> pa.Table:
-        """Return `rows` in one table; an empty one where they cannot be read."""
+    def read_rows(self) -> pa.Table:
+        """Return the rows of finished runs as one table; an empty one if unreadable."""
         try:
-            return pa.concat_tables([NO_RUNS, *self.rows()])
+            return pa.concat_tables([NO_RUNS, *self.iterate_rows()])
         except DAMAGE:
             return NO_RUNS
 
     def outcomes(self) -> dict[str, str]:
-        """Return the outcome of each finished run, without runs whose steps are damaged."""
+        """Return run_id: outcome of the finished runs, without those whose steps are damaged."""
         finished: dict[str, str] = {}
         try:
-            for table in self.rows():
+            for table in self.iterate_rows():
                 key = (table[name].to_pylist() for name in ("run_id", "outcome"))
                 finished |= dict(zip(*key, strict=True))
         except DAMAGE:
             return {}
         if not finished or self.is_sound():
             return finished
-        read = {name for group in self.groups(finished) for name in group.names}
+        read = {name for group in self.find_groups(finished) for name in group.names}
         return {name: outcome for name, outcome in finished.items() if name in read}
 
-    def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Return the readable row groups with steps of these runs."""
-        footer = _footer(self.steps) if self.is_sound() else None
+    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+        """Yield the readable row groups that hold steps of the runs `names`."""
+        footer = _read_sound_footer(self.steps) if self.is_sound() else None
         with suppress(*DAMAGE), open_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
@@ -150,13 +150,13 @@ class Source(ABC):
 
 
 class PublicTables(Source):
-    """The public tables of a result folder."""
+    """The files `runs.parquet` and `steps.parquet` of a result folder."""
 
     def __init__(self, out: Path) -> None:
         self.runs, self.steps = out / "runs.parquet", out / "steps.parquet"
 
-    def rows(self) -> Iterator[pa.Table]:
-        """Yield its rows of finished runs."""
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield the rows of finished runs in `runs.parquet`, some hundred at a time."""
         with open_table(self.runs) as file:
             # All columns, which tells whether they can be read, of some rows at a time, as the
             # descriptions of cells are long. Threads would cost more than they save.
@@ -164,8 +164,8 @@ class PublicTables(Source):
                 table = decode_words(pa.Table.from_batches([batch]), self.runs)
                 yield _select_finished(complete_runs(table))
 
-    def names(self) -> list[str]:
-        """Return the run_ids of all its rows, in order."""
+    def run_ids(self) -> list[str]:
+        """Return the run_ids of all rows of `runs.parquet`, in order."""
         try:
             with open_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
@@ -173,7 +173,7 @@ class PublicTables(Source):
             return []
 
     def is_sound(self) -> bool:
-        """Compare the checksum of its steps."""
+        """Return whether `steps.parquet` has the checksum noted in `runs.parquet`."""
         try:
             metadata = pq.read_metadata(self.runs).metadata or {}
         except DAMAGE:
@@ -181,58 +181,59 @@ class PublicTables(Source):
         return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _file_checksum(self.steps)
 
     def write(self, rows: pa.Table, steps: StepFile) -> None:
-        """Put a file of steps in place, and then the rows."""
+        """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
         steps.close()
         replace_durably(steps.path, self.steps)
         write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
-        """Remove its files."""
+        """Delete `runs.parquet` and `steps.parquet`."""
         self.runs.unlink(missing_ok=True)
         self.steps.unlink(missing_ok=True)
 
 
 class Part(Source):
-    """The cells of a batch, in a file named as `_PART`."""
+    """A part file in the folder `cells` with the finished cells of one batch."""
 
     def __init__(self, steps: Path) -> None:
         self.steps, self._cells = steps, 0
         self._rows: pa.Table | None = None
 
-    def rows(self) -> Iterator[pa.Table]:
-        """Yield its rows of finished runs."""
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield the rows of finished runs in the part file; ValueError if it is damaged."""
         if not self.is_sound():
             raise ValueError("a damaged part")
         if self._rows is None:
             with open_regular_file(self.steps) as file:
-                columns = runs_in(pq.read_metadata(file).metadata)
+                columns = read_part_runs(pq.read_metadata(file).metadata)
             self._cells = len(columns["run_id"])
             self._rows = _select_finished(_parse_runs(columns))
         yield self._rows
 
     def is_sound(self) -> bool:
-        """Compare the checksum of its steps."""
+        """Return whether the part file has the checksum in its name."""
         named = _PART.fullmatch(self.steps.name)
         return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
 
-    def groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Return its only row group."""
+    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+        """Yield the one row group of the part file, if it has any rows."""
         # It was sound when its rows were read, which tell the runs in its only row group.
-        footer = _footer(self.steps)
+        footer = _read_sound_footer(self.steps)
         if footer is not None and footer.rows:
             may_copy = len(names) == self._cells and footer.rows >= COPIED_ROWS
-            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read)
+            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_row_group)
 
-    def _read(self) -> pa.Table:
+    def _read_row_group(self) -> pa.Table:
+        """Return the one row group of the part file as an Arrow table."""
         with open_table(self.steps) as file:
             return file.read_row_group(0)
 
     def remove(self) -> None:
-        """Remove its files."""
+        """Delete the part file."""
         self.steps.unlink(missing_ok=True)
 
 
-def _footer(path: Path) -> Footer | None:
+def _read_sound_footer(path: Path) -> Footer | None:
     """Return the footer of a Parquet file; None where it is damaged."""
     try:
         with open_regular_file(path) as file:
@@ -242,19 +243,20 @@ def _footer(path: Path) -> Footer | None:
 
 
 def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return the runs of a part, without those of wrong types or without a cell description."""
+    """Return a part file's runs as a table, without rows of wrong types or without a cell."""
     try:
-        runs = runs_table(columns)
+        runs = build_runs_table(columns)
     except (ValueError, TypeError, OverflowError):
         each = range(len(columns["run_id"]))
         alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
         single = [_parse_runs(one) for one in alone if len(alone) > 1]
         return pa.concat_tables([NO_RUNS, *single])
-    described = [_is_described(text) for text in runs["cell"].to_pylist()]
+    described = [_is_json_object(text) for text in runs["cell"].to_pylist()]
     return runs if all(described) else runs.filter(pa.array(described))
 
 
-def _is_described(text: str | None) -> bool:
+def _is_json_object(text: str | None) -> bool:
+    """Return whether a text is a JSON object."""
     try:
         return isinstance(json.loads(text or ""), dict)
     except (ValueError, RecursionError):
@@ -262,7 +264,7 @@ def _is_described(text: str | None) -> bool:
 
 
 def _select_finished(runs: pa.Table) -> pa.Table:
-    """Return the rows of finished runs of this schema version."""
+    """Return the rows of finished runs of the current schema version."""
     became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
     wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
     # Filtering so many columns takes longer than all else, and mostly keeps all rows.
@@ -270,7 +272,7 @@ def _select_finished(runs: pa.Table) -> pa.Table:
 
 
 def _file_checksum(path: Path) -> int:
-    """Return the CRC-32 of a file; of a missing one, that of nothing."""
+    """Return the CRC-32 of a file; of a missing one, that of no bytes."""
     check = 0
     with suppress(OSError, InputError), open_regular_file(path) as file:
         while block := file.read(2**20):
@@ -279,7 +281,7 @@ def _file_checksum(path: Path) -> int:
 
 
 class StepFile:
-    """A file of steps being written, of whole runs."""
+    """A Parquet file of steps that is being written, whole runs at a time."""
 
     def __init__(self, path: Path) -> None:
         self.path = new_file(path)
@@ -288,16 +290,16 @@ class StepFile:
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
+        """Number of rows of steps so far."""
         return self._writer.rows + self._count
 
     @property
     def crc32(self) -> int:
-        """CRC-32 of the closed file."""
+        """CRC-32 of the file, once it is closed."""
         return self._writer.crc32
 
-    def copy(self, group: StepGroup) -> bool:
-        """Copy a row group of another file; return False where it may not be copied."""
+    def copy_group(self, group: StepGroup) -> bool:
+        """Copy a row group of another file unchanged; return False where that is impossible."""
         if not group.may_copy or group.footer is None:
             return False
         try:
@@ -308,31 +310,29 @@ class StepFile:
         return True
 
     def add(self, table: pa.Table) -> None:
-        """Add whole runs, merged into row groups."""
+        """Add the steps of whole runs, to be merged into large row groups."""
         self._waiting.append(table)
         self._count += table.num_rows
         if self._count >= GROUP_ROWS:
             self._flush()
 
     def _flush(self) -> None:
+        """Write the added steps as one row group of the Parquet file."""
         if self._count:
             file = io.BytesIO(encode_steps(pa.concat_tables(self._waiting)))
             self._writer.copy(file, read_footer(file), 0)
         self._waiting, self._count = [], 0
 
     def close(self) -> None:
-        """Write what is left; nothing the second time."""
+        """Write what is left and the footer; nothing the second time."""
         self._flush()
         self._writer.close(read_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table()))))
 
 
 class CellStore:
-    """The finished cells of a result folder.
+    """The finished cells of a result folder: its part files and its public tables.
 
-    Attributes
-    ----------
-    folder : folder of parts, `cells/`.
-    finished : outcome of each finished cell, by run_id.
+    `folder` holds the part files; `finished` has the outcome of each finished cell, by run_id.
     """
 
     def __init__(self, out: Path) -> None:
@@ -353,14 +353,15 @@ class CellStore:
         self._before: set[Source] = {self.public, *self.parts}
         self._latest = b""
         self.finished: dict[str, str] = {}
-        for source in self._sources():
+        for source in self._list_sources():
             self.finished |= source.outcomes()
 
-    def _sources(self) -> list[Source]:
+    def _list_sources(self) -> list[Source]:
+        """Return the public tables and all part files, oldest first."""
         return [self.public, *self.parts]
 
     def _remove_leftovers(self) -> None:
-        """Remove the unfinished files of a killed campaign."""
+        """Delete the unfinished files of a killed campaign."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
         for path in self.folder.iterdir():
@@ -369,7 +370,7 @@ class CellStore:
 
     @property
     def remarks(self) -> list[str]:
-        """A line on files that no campaign writes, such as those of sync programs."""
+        """A remark on unknown files beside the cells, such as those of sync programs."""
         others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         said = (
@@ -377,14 +378,14 @@ class CellStore:
         )
         return [said] if said else []
 
-    def forget(self, run_ids: Iterable[str]) -> None:
-        """Take these cells as unfinished."""
+    def mark_unfinished(self, run_ids: Iterable[str]) -> None:
+        """Treat cells as unfinished, so that they run again."""
         self._stale |= set(run_ids)
         for run_id in self._stale:
             self.finished.pop(run_id, None)
 
-    def add(self, part: BatchPart) -> None:
-        """Store the cells of a batch, once; OSError where there is no room."""
+    def add_part(self, part: BatchPart) -> None:
+        """Write the part file of a batch, once; OSError where there is no room."""
         if part.data == self._latest:
             return
         name = f"part-{self._next:05d}-{zlib.crc32(part.data):08x}.parquet"
@@ -393,31 +394,31 @@ class CellStore:
         self._next, self._latest = self._next + 1, part.data
         self.finished |= part.outcomes
 
-    def keep(self, rows: pa.Table, steps: pa.Table) -> None:
-        """Store finished cells of other files; `steps` has the steps of all of them."""
+    def add_rows(self, rows: pa.Table, steps: pa.Table) -> None:
+        """Write runs and their steps from other files as new part files."""
         for first in range(0, len(rows), PART_CELLS):
             columns = rows.slice(first, PART_CELLS).to_pydict()
-            some = filter_runs(steps, set(columns["run_id"])) if len(steps) else steps
-            self.add(part_of(columns, some))
+            some = filter_steps(steps, set(columns["run_id"])) if len(steps) else steps
+            self.add_part(encode_part(columns, some))
 
-    def adopt(self, other: CellStore) -> None:
-        """Copy the readable finished cells of another store."""
-        rows, sources = other.collect()
+    def copy_cells(self, other: CellStore) -> None:
+        """Copy the readable finished cells of another result folder."""
+        rows, sources = other.collect_rows()
         read: set[str] = set()
-        for group in other.groups(sources):
+        for group in other.find_groups(sources):
             try:
-                table = group.table()
+                table = group.read_table()
             except DAMAGE:
                 continue
-            self.keep(filter_rows(rows, group.names), table)
+            self.add_rows(filter_rows(rows, group.names), table)
             read |= set(group.names)
-        self.keep(without_steps(rows, read), FILE_SCHEMA.empty_table())
+        self.add_rows(select_stepless(rows, read), FILE_SCHEMA.empty_table())
 
-    def collect(self) -> tuple[pa.Table, dict[str, Source]]:
-        """Return the rows of all finished cells (`RUNS_SCHEMA`), and the latest source of each."""
+    def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
+        """Return the rows of all finished cells, and the latest source of each run."""
         tables, sources = [NO_RUNS], dict[str, Source]()
-        for source in self._sources():
-            table = source.table()
+        for source in self._list_sources():
+            table = source.read_rows()
             if self._stale and source in self._before:
                 stale = pc.is_in(table["run_id"], pa.array(sorted(self._stale)))
                 table = table.filter(pc.invert(stale))
@@ -429,31 +430,31 @@ class CellStore:
             rows = rows.take(pa.array(sorted(last.values())))
         return rows, sources
 
-    def rows(self) -> pd.DataFrame:
-        """Return the rows of all finished cells, by run_id."""
-        return frame_of_runs(self.collect()[0])
+    def finished_runs(self) -> pd.DataFrame:
+        """Return the rows of all finished cells as a data frame, by run_id."""
+        return runs_to_frame(self.collect_rows()[0])
 
-    def groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
-        """Return the steps of all finished cells once, by the source of each."""
+    def find_groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
+        """Yield the row groups with the steps of finished cells, each run from its source."""
         names: dict[Source, set[str]] = {}
         for name, source in sources.items():
             names.setdefault(source, set()).add(name)
         for source, own in names.items():
-            yield from source.groups(own)
+            yield from source.find_groups(own)
 
-    def remove(self, parts: Iterable[Part]) -> None:
-        """Remove parts whose cells are stored elsewhere."""
+    def remove_parts(self, parts: Iterable[Part]) -> None:
+        """Delete part files whose cells are stored elsewhere."""
         for part in list(parts):
             part.remove()
             self.parts.remove(part)
 
 
-def without_steps(runs: pa.Table, read: Collection[str]) -> pa.Table:
-    """Return the rows of runs that left no steps, but for those whose steps were `read`."""
+def select_stepless(runs: pa.Table, read: Collection[str]) -> pa.Table:
+    """Return the rows of runs that left no steps, except runs whose steps were `read`."""
     none = runs.filter(pc.equal(runs["steps_done"], 0))
     return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
 
 
 def filter_rows(runs: pa.Table, names: Collection[str]) -> pa.Table:
-    """Return the rows of those runs."""
+    """Return the rows of a table of runs whose run_id is in `names`."""
     return runs.filter(pc.is_in(runs["run_id"], pa.array(sorted(names), pa.string())))

@@ -16,7 +16,7 @@ CONFIGURATION_COLUMNS = ("solver", "route", "policy", "settings", "formulation",
 
 @dataclass(frozen=True)
 class Configuration:
-    """solver × route × policy × settings × units × formulation.
+    """A solver with call mode, settings, units and formulation, as results are compared by.
 
     `alias` has further names of the same settings, where settings have no effect.
     """
@@ -31,13 +31,13 @@ class Configuration:
 
     @property
     def options(self) -> str:
-        """Route, policy and, where they are not `default`, settings: `native warm, high`."""
+        """Route, policy and unusual settings as text, such as `native warm, high`."""
         settings = "" if self.settings == "default" else f", {self.settings}"
         return f"{self.route} {self.policy}{settings}"
 
     @property
     def label(self) -> str:
-        """Label among others: `osqp (native warm, high, si, sparse)`."""
+        """Solver and options as text, such as `osqp (native warm, high, si, sparse)`."""
         return self.label_of(self.solver)
 
     def label_of(self, solver: str) -> str:
@@ -49,12 +49,12 @@ class Configuration:
 
     @property
     def in_common_formulation(self) -> Configuration:
-        """The configuration in the common formulation of its problem (`Records.runs`)."""
+        """The configuration moved to the condensed formulation, in which results are compared."""
         return replace(self, formulation=COMMON_FORMULATION)
 
 
 def settings_level(settings: str) -> tuple[int, str]:
-    """Return the sort key of a settings level, the most usual first."""
+    """Return a sort key of a settings name: default and tolerance presets first, in order."""
     known = settings in LEVELS
     level = LEVELS.index(settings) if known else len(LEVELS)
     return level, settings

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
 
 _STEAL = 8
 """Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
@@ -38,7 +38,7 @@ QUIET_RULE = (
 
 
 def read_counters() -> Floats:
-    """Return the counters of `COUNTERS` (6,), of which only differences have a meaning.
+    """Return clock, context switches, steal time, throttling and thread time of this process (6,).
 
     Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
     mean over several), processor time of all threads but the calling one [s].
@@ -52,14 +52,15 @@ def read_counters() -> Floats:
             time.perf_counter(),
             used.ru_nvcsw,
             used.ru_nivcsw,
-            _steal_s(cores),
-            _throttled(cores),
+            _read_steal_s(cores),
+            _count_throttling(cores),
             1e-9 * (all_ns - alone_ns),
         ]
     )
 
 
-def _steal_s(cores: set[int]) -> float:
+def _read_steal_s(cores: set[int]) -> float:
+    """Return the steal time of some cores [s], averaged; NaN where the kernel hides it."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
         of_core = {fields[0]: fields for fields in map(str.split, lines) if fields}
@@ -69,7 +70,8 @@ def _steal_s(cores: set[int]) -> float:
     return sum(ticks) / len(ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def _throttled(cores: set[int]) -> float:
+def _count_throttling(cores: set[int]) -> float:
+    """Return the thermal throttle events of some cores, averaged; NaN where hidden."""
     seen = []
     for core in cores:
         for name in _THROTTLE:
@@ -82,7 +84,7 @@ def _throttled(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """Return the disturbance columns of a replay: sums over the counting rounds.
+    """Return context switches, steal time and throttling summed over the rounds that count.
 
     Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
     less what they waited for the core.
@@ -91,14 +93,14 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
     measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
     sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
-    own_ns = step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
+    own_ns = sum_step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
     metrics["solve_s"] = 1e-9 * float(own_ns.sum()) if measured else np.nan
     return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbances of some replays; an unknown number is NaN.
+    """Figures of what disturbed some replays: slow rounds, context switches, steal time.
 
     Parameters
     ----------
@@ -117,23 +119,23 @@ class Disturbance:
 
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
-        """Return the sum of several replays, of unknown numbers that of the known ones."""
+        """Return the sum over several replays; a figure unknown in all of them is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
 
     @property
     def steal_share(self) -> float:
-        """Share of the time that the host of a virtual machine took."""
+        """Share of the replays' time that the host of a virtual machine took."""
         return self.steal_s / (self.seconds or np.nan)
 
     @property
     def switches_per_s(self) -> float:
-        """Involuntary context switches a second."""
+        """Involuntary context switches per second of the replays."""
         return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """Return the violations of `QUIET_RULE`; none for a quiet machine."""
+        """Return which limits of `QUIET_RULE` were exceeded; none for a quiet machine."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

@@ -32,7 +32,7 @@ THREAD_VARIABLES = (
 
 
 def pin_threads() -> None:
-    """Limit every numerical library that is loaded later to one thread."""
+    """Limit numerical libraries that are loaded later to one thread, by the environment."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
@@ -53,20 +53,20 @@ def describe_machine() -> MachineDescription:
     """
     (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
     lasting: ComparedMachine = {
-        "cpu_model": _cpu_model(),
+        "cpu_model": _read_cpu_model(),
         "cores": os.cpu_count() or 1,
         "memory_GiB": round(psutil.virtual_memory().total / 2**30),
         "kernel": f"{platform.system()} {platform.release()}",
         "python": f"{platform.python_implementation()} {platform.python_version()}",
-        "versions": {name: _version(name) for name in LIBRARIES},
+        "versions": {name: _installed_version(name) for name in LIBRARIES},
     }
     digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
     return {
         "id": digest[:12],
         **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
-        "governor": _governor(),
+        "governor": _read_governor(),
         "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
-        "blas": _blas(),
+        "blas": _list_blas(),
         "throttle_counters": "visible" if (_CPU / "thermal_throttle").is_dir() else "not visible",
         "affinity": sorted(os.sched_getaffinity(0)),
         "clock_read_ns": read_cost,
@@ -75,22 +75,24 @@ def describe_machine() -> MachineDescription:
     }
 
 
-def _version(distribution: str) -> str:
+def _installed_version(distribution: str) -> str:
+    """Return the version of an installed distribution, or "not installed"."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
 
 
-def _governor() -> str:
+def _read_governor() -> str:
+    """Return the frequency governor of the processor, or "not visible"."""
     try:
         return (_CPU / "cpufreq" / "scaling_governor").read_text(encoding="ascii").strip()
     except OSError:
         return "not visible"
 
 
-def _blas() -> list[str]:
-    """Return the loaded BLAS libraries with their kernels for this processor."""
+def _list_blas() -> list[str]:
+    """Return the loaded BLAS libraries with version and processor kernels, a line each."""
     return [
         " ".join(
             str(pool[key]) for key in ("internal_api", "version", "architecture") if pool.get(key)
@@ -100,7 +102,8 @@ def _blas() -> list[str]:
     ]
 
 
-def _cpu_model() -> str:
+def _read_cpu_model() -> str:
+    """Return the processor's model name."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -118,23 +121,23 @@ WAIT_S = 10.0
 
 @cache
 def current_revision() -> Revision:
-    """Return the revision of the running package."""
+    """Return the git revision of the running dpbench package; empty where unknown."""
     return checkout_revision(Path(__file__).parents[2]) or installed_revision()
 
 
 def checkout_revision(package: Path) -> Revision:
-    """Return the revision of a package that is part of a git checkout."""
-    commit = _git(package, "rev-parse", "HEAD")
+    """Return commit and cleanness of a package in a git checkout; empty where it is in none."""
+    commit = _run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
-    part = _git(package, "ls-files", "--error-unmatch", "__init__.py")
-    changes = _git(package, "status", "--porcelain", "--", ".")
+    part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
+    changes = _run_git(package, "status", "--porcelain", "--", ".")
     if commit is None or part is None or changes is None:
         return {}
     return {"commit": commit, "clean": changes == ""}
 
 
 def installed_revision() -> Revision:
-    """Return the commit that dpbench was installed from, as noted by its installer (PEP 610)."""
+    """Return the commit that dpbench was installed from, by its installer's note (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:
@@ -143,13 +146,13 @@ def installed_revision() -> Revision:
     return {} if commit is None else {"commit": str(commit), "clean": True}
 
 
-def revisions(earlier: list[Revision], now: Revision) -> list[Revision]:
-    """Return all revisions that cells of a folder were run with, the latest last."""
+def append_revision(earlier: list[Revision], now: Revision) -> list[Revision]:
+    """Return the revisions of earlier cells, followed by the current one."""
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 
 def describe_revisions(suite: SuiteDescription) -> str:
-    """Return the revisions of `suite.json` in words; "" where there are none."""
+    """Return the dpbench commits in `suite.json` as text; "" where there are none."""
     named = [
         f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
         for one in suite.get("revisions", [])
@@ -158,13 +161,13 @@ def describe_revisions(suite: SuiteDescription) -> str:
 
 
 def describe_version(suite: SuiteDescription) -> str:
-    """Return version and revisions of dpbench in `suite.json`."""
+    """Return the dpbench version and commits in `suite.json` as text."""
     version = f"dpbench {suite.get('harness_version', '')}"
     return ", ".join(filter(None, (version, describe_revisions(suite))))
 
 
-def _git(folder: Path, *words: str) -> str | None:
-    """Return the output of git in a folder; None where it is missing or fails."""
+def _run_git(folder: Path, *words: str) -> str | None:
+    """Return the output of a git command in a folder; None where git is missing or fails."""
     try:
         answer = subprocess.run(
             ["git", "-C", str(folder), *words],

@@ -55,7 +55,7 @@ DAMAGE = (
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays to `path` in order, compressed, whole or not at all."""
+    """Write arrays to a `.npz` file with reproducible bytes, whole or not at all."""
     with replace_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
             member = io.BytesIO()
@@ -65,20 +65,17 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays into a result folder in one piece, whole or not at all."""
+    """Write arrays to a file in dpbench's own uncompressed format, whole or not at all."""
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
-    body = parts[0].ljust(size) + b"".join(_pad_array(array) for array in parts[1:])
+    padded = (array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0") for array in parts[1:])
+    body = parts[0].ljust(size) + b"".join(padded)
     write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
-def _pad_array(array: bytes) -> bytes:
-    return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
-
-
 def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
-    """Return the arrays of a file written by `write_arrays`, as parts of `data`."""
+    """Return the arrays in the bytes of a `write_arrays` file, as views of them."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
         raise ValueError("another check sum than it was written with")
@@ -93,12 +90,7 @@ def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
 
 @contextmanager
 def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """Open the arrays written by `write_arrays`, or those of a zip file, each read on access.
-
-    Raises
-    ------
-    ResultsError : the file is missing or damaged; also for arrays the block looks for in vain.
-    """
+    """Open a file of `write_arrays` or a `.npz` file; yield its arrays. ResultsError if damaged."""
     try:
         with open_regular_file(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
@@ -120,16 +112,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """Read the arrays of `path`, and the still packed bytes of members with Python objects.
-
-    Parameters
-    ----------
-    what : expected content, for the error message.
-
-    Raises
-    ------
-    InputError : it cannot be read or is damaged.
-    """
+    """Return the arrays of a `.npz` file, and its packed Python objects; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
     with open_regular_file(path, what) as file:
@@ -152,7 +135,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
 
 
 def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
-    """Return the members of a zip file after a check of their sizes and compression."""
+    """Return the members of a zip file; InputError for unsafe sizes or compression."""
     members = archive.infolist()
     for member in members:
         # Of these alone zipfile unpacks no more than a member declares, and NumPy writes no other.
@@ -164,6 +147,7 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
 
 
 def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return the array in a zip member; ValueError for trailing bytes or invalid characters."""
     with archive.open(member) as stream:
         # An array read from the stream itself: its check sum is compared at the end.
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
@@ -178,7 +162,7 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[A
 
 
 def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
-    """Return the type of the array in a member; ValueError for another size than declared."""
+    """Return the type of the array in a zip member; ValueError for an untrue size."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = {
@@ -209,7 +193,7 @@ def read_float_array(
     infinite: str = "",
     nan: bool = False,
 ) -> Floats:
-    """Return the array `name` as float64.
+    """Return an array as float64 after checking its type, shape and special values.
 
     Parameters
     ----------
@@ -241,7 +225,7 @@ def read_float_array(
 
 
 def read_text_array(arrays: Arrays, where: str, name: str) -> str:
-    """Return the text `name`; InputError where there is none."""
+    """Return the text stored as the array `name`; InputError where there is none."""
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
@@ -252,7 +236,7 @@ def read_text_array(arrays: Arrays, where: str, name: str) -> str:
 
 
 def read_count_array(arrays: Arrays, where: str, name: str) -> int:
-    """Return the whole number `name`, 0 or more; InputError where there is none."""
+    """Return the whole number (≥ 0) stored as the array `name`; InputError without one."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
         found = "nothing" if array is None else np.array2string(array, threshold=4)

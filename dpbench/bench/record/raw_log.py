@@ -68,7 +68,7 @@ def loop_layout(
     *,
     backup: bool = False,
 ) -> Layout:
-    """Return the arrays of a closed-loop log of `steps` steps.
+    """Return type and shape of every array in a closed loop's raw log of `steps` steps.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def loop_layout(
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
         controller is no cascade.
     """
-    layout = _answer_arrays(1, steps, n, m) | {
+    layout = _answer_layout(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
@@ -88,19 +88,19 @@ def loop_layout(
         "counters": ("f8", (1, len(COUNTERS))),
     }
     if backup:
-        of_backup = _answer_arrays(1, steps, n, m)
+        of_backup = _answer_layout(1, steps, n, m)
         of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
         layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
-    second = _answer_arrays(1, steps, *allocation) if any(allocation) else {}
+    second = _answer_layout(1, steps, *allocation) if any(allocation) else {}
     of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
     return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
-    """Return the arrays of a replay log, in which round 0 is the warm-up."""
-    return _answer_arrays(rounds, steps, n, m) | {
+    """Return type and shape of every array in a replay's raw log; round 0 is the warm-up."""
+    return _answer_layout(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
@@ -111,7 +111,8 @@ def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-def _answer_arrays(rounds: int, steps: int, n: int, m: int) -> Layout:
+def _answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
+    """Return type and shape of the arrays that hold a solver's answers and times."""
     return {
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
@@ -129,7 +130,7 @@ def _answer_arrays(rounds: int, steps: int, n: int, m: int) -> Layout:
 
 
 class AnswerLog:
-    """Answers to the QPs of a run: arrays over (rounds, steps), with their times."""
+    """Recorded answers of one solver: arrays over (rounds, steps), with times and status."""
 
     done: Ints
     started: Ints
@@ -146,7 +147,7 @@ class AnswerLog:
 
 
 class BackupLog(AnswerLog):
-    """Answers of the backup; −1 for all times of a step without one.
+    """Recorded answers of the backup solver; all times are −1 in a step without one.
 
     `acted` (steps,) whether its plan was applied, or began to be; `ready_ns` (steps,) time of its
     answer on a slow computer from t_k on, −1 where there is none.
@@ -157,7 +158,7 @@ class BackupLog(AnswerLog):
 
 
 class RawLog(AnswerLog):
-    """Named arrays over one buffer, as attributes: `log.times[r, k]`.
+    """The raw log of a run: named arrays over one shared buffer, as attributes.
 
     `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
     fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the
@@ -200,12 +201,12 @@ class RawLog(AnswerLog):
 
     @classmethod
     def in_memory(cls, layout: Layout) -> RawLog:
-        """Return a log for a run in this process."""
+        """Return a new raw log in this process's memory."""
         return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> RawLog:
-        """Create a log file at `path` with its layout beside it, all pages touched.
+        """Create a raw log file, all pages allocated, with its layout beside it.
 
         It appears at `path` whole or not at all, as the supervisor may read it at any moment.
 
@@ -224,35 +225,35 @@ class RawLog(AnswerLog):
 
     @classmethod
     def open(cls, path: Path) -> RawLog:
-        """Open the log at `path`, writable and shared."""
+        """Open an existing raw log file, writable and shared."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:
             return cls(layout, mmap.mmap(file.fileno(), 0))
 
-    def touch(self) -> None:
-        """Read a byte of every page, so that the kernel maps it into this process."""
+    def touch_pages(self) -> None:
+        """Read a byte of every page, so that the kernel maps them into this process."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def step_ns(times: Ints) -> Ints:
-    """Return the time of steps [ns] (...) of their phases (..., `PHASES`)."""
+def sum_step_ns(times: Ints) -> Ints:
+    """Return the solver's time of steps [ns] (...) from the times of all phases (..., 6)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 
-def spent_ns(phases_ns: Iterable[int]) -> int:
-    """Return the time of one step [ns] of its phases `SOLVER_PHASES`."""
+def sum_phases_ns(phases_ns: Iterable[int]) -> int:
+    """Return the sum of one step's solver phases [ns]; negative ones did not take place."""
     return sum(ns for ns in phases_ns if ns > 0)
 
 
 def log_bytes(layout: Layout) -> int:
-    """Return the size of a log of that layout."""
+    """Return the size of a raw log with this layout [B]."""
     sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
 
 def _allocate_file(path: Path, size: int) -> None:
-    """Make a file of zeros with all its blocks allocated."""
+    """Write a file of zeros with all its blocks allocated; OSError where there is no room."""
     with path.open("wb") as file:
         # A disk that allocates late says only now what it has no room for; some cannot say it.
         try:
@@ -263,8 +264,8 @@ def _allocate_file(path: Path, size: int) -> None:
         file.write(bytes(size))
 
 
-def is_whole(path: Path) -> bool:
-    """Return whether a log has all its bytes and each page can be written.
+def is_writable_log(path: Path) -> bool:
+    """Return whether a raw log file has its full size and every page can be written.
 
     Otherwise writing to it through memory is a SIGBUS. A file system that copies on write shows a
     lack of room only when written, so a byte of each page is rewritten.
@@ -283,6 +284,6 @@ def is_whole(path: Path) -> bool:
 
 
 def remove_log(path: Path) -> None:
-    """Remove an evaluated log."""
+    """Delete a raw log and its layout file."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

@@ -22,7 +22,7 @@ from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     STRING_COLUMNS,
     absent_column,
-    filter_runs,
+    filter_steps,
     plain_frame,
 )
 from dpbench.errors import ResultsError
@@ -36,7 +36,7 @@ CACHED_GROUPS = 2
 
 
 class StepsInMemory:
-    """The rows of a data frame with the columns of `STEP_COLUMNS`."""
+    """The rows of `steps.parquet` as a data frame in memory."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self._frame, self.rows = frame, len(frame)
@@ -44,7 +44,7 @@ class StepsInMemory:
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """Yield all rows in one table."""
+        """Yield the wanted columns of some runs (None: all) as one data frame."""
         some = self._frame[list(columns)]
         if run_ids is not None:
             wanted = [
@@ -55,79 +55,66 @@ class StepsInMemory:
         if len(some):
             yield some
 
-    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return a slice of the table."""
+    def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+        """Return the rows of one run as a data frame."""
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
-    def frame(self) -> pd.DataFrame:
-        """Return the table itself."""
+    def read_all(self) -> pd.DataFrame:
+        """Return the rows of all runs as a data frame."""
         return self._frame
 
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
+        """First row of each run, and the row after its last, by run_id."""
         return run_slices(self._frame["run_id"])
 
 
 class StepsOnDisk:
-    """The rows of the `steps.parquet` of a result folder.
-
-    Raises
-    ------
-    ResultsError : the file is missing or damaged, lacks a key, or has a column of another type.
-    """
+    """The rows of a result folder's `steps.parquet`, read on demand; ResultsError if damaged."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "steps.parquet"
         with table_errors(self._path), open_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
-        self._check(schema)
-        self._read = lru_cache(maxsize=CACHED_GROUPS)(self._group)
+        self._check_schema(schema)
+        self._read = lru_cache(maxsize=CACHED_GROUPS)(self._read_group_frame)
 
-    def tables(
+    def scan_tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
-        """Yield tables of Arrow, as `scan` yields frames."""
+        """Yield the wanted columns of some runs as Arrow tables, one per row group."""
         for group, places in enumerate(self._run_rows):
             names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
-                table = self._table(group, columns)
+                table = self._read_group(group, columns)
                 if len(names) < len(places):
-                    table = filter_runs(table, set(names))
+                    table = filter_steps(table, set(names))
                 yield table.select(list(columns))
 
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
-        """Yield the rows of whole runs, some hundred thousand at a time.
+        """Yield columns of some runs (None: all) as data frames; ResultsError if damaged."""
+        for table in self.scan_tables(columns, run_ids):
+            yield _to_frame(table, columns)
 
-        Parameters
-        ----------
-        columns : of `STEP_COLUMNS`.
-        run_ids : only the steps of these runs; None for all.
-
-        Raises
-        ------
-        ResultsError : the file is damaged.
-        """
-        for table in self.tables(columns, run_ids):
-            yield _as_frame(table, columns)
-
-    def of(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return a run out of its row group, which stays in memory for its neighbours."""
-        group = self._group_of.get(run_id)
+    def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+        """Return the steps of one run; its row group stays in memory for the next call."""
+        group = self._groups_by_run.get(run_id)
         if group is None:
             return as_columns(pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns})
         first, end = self._run_rows[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
-    def frame(self) -> pd.DataFrame:
-        """Return the whole file."""
-        tables = [_as_frame(table, ALL_COLUMNS) for table in self.tables(ALL_COLUMNS)]
+    def read_all(self) -> pd.DataFrame:
+        """Return the steps of all runs as one data frame."""
+        tables = [_to_frame(table, ALL_COLUMNS) for table in self.scan_tables(ALL_COLUMNS)]
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
-    def _check(self, schema: pa.Schema) -> None:
+    def _check_schema(self, schema: pa.Schema) -> None:
+        """Raise ResultsError where the file lacks a key column or has one of another type."""
         missing = sorted(KEY_COLUMNS - self._stored)
         if missing:
             raise missing_columns_error(self._path, missing)
@@ -137,7 +124,7 @@ class StepsOnDisk:
 
     @cached_property
     def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
-        """Of each row group the first row of each run, and the row behind its last."""
+        """For each row group: first row of each run, and the row after its last."""
         with (
             table_errors(self._path),
             pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file,
@@ -149,14 +136,16 @@ class StepsOnDisk:
             return [run_slices(names.combine_chunks().to_pandas()) for names in groups]
 
     @cached_property
-    def _group_of(self) -> dict[str, int]:
+    def _groups_by_run(self) -> dict[str, int]:
+        """Index of the row group that holds each run, by run_id."""
         return {name: group for group, places in enumerate(self._run_rows) for name in places}
 
-    def _group(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
-        return _as_frame(self._table(group, columns), columns)
+    def _read_group_frame(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
+        """Return columns of one row group as a data frame."""
+        return _to_frame(self._read_group(group, columns), columns)
 
-    def _table(self, group: int, columns: Sequence[str]) -> pa.Table:
-        """Return columns of a row group with `run_id`, absent ones as missing."""
+    def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:
+        """Return columns of one row group as an Arrow table; absent ones have no values."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]
@@ -174,7 +163,7 @@ StepTable = StepsInMemory | StepsOnDisk
 def scan_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> Iterator[pa.Table]:
-    """Yield the steps of a result folder, some hundred thousand rows of whole runs at a time.
+    """Yield columns of `steps.parquet` as Arrow tables, whole runs at a time.
 
     Memory is that of one such table, whatever the number of runs.
 
@@ -187,13 +176,13 @@ def scan_steps(
     ------
     ResultsError : naming the file, when it is missing or damaged, or has no such column.
     """
-    yield from StepsOnDisk(Path(out)).tables(columns, run_ids)
+    yield from StepsOnDisk(Path(out)).scan_tables(columns, run_ids)
 
 
 def read_steps(
     out: str | Path, columns: Sequence[str], run_ids: Container[str] | None = None
 ) -> pa.Table:
-    """Return the steps of a result folder in one table, as `scan_steps` yields them."""
+    """Return columns of `steps.parquet` as one Arrow table."""
     tables = list(scan_steps(out, columns, run_ids))
     if tables:
         return pa.concat_tables(tables).unify_dictionaries()
@@ -202,7 +191,7 @@ def read_steps(
 
 @contextmanager
 def table_errors(path: Path) -> Iterator[None]:
-    """Raise errors of reading a table as `ResultsError`."""
+    """Turn errors of reading a Parquet table within the block into `ResultsError`."""
     try:
         yield
     except (OSError, ValueError, KeyError, pa.ArrowException) as error:
@@ -214,27 +203,27 @@ def table_errors(path: Path) -> Iterator[None]:
 
 
 def missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
-    """Return the error of a table without some columns."""
+    """Return the `ResultsError` for a table that lacks columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
 
 
 def wrong_type_error(path: Path, which: str) -> ResultsError:
-    """Return the error of a column of another type."""
+    """Return the `ResultsError` for a table with a column of another type."""
     return ResultsError(
         str(path), "", f"a column of another type ({which})", "the types of schema.py"
     )
 
 
 def run_slices(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
-    """Return the first place of each of ordered labels (N,), and the one after its last."""
+    """Return the first row of each label in sorted labels (N,), and the row after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
 
 
-def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
-    """Return columns of a table with the types of the schema, strings as categories."""
+def _to_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
+    """Return columns of an Arrow table as a data frame with the schema's types."""
     frame = plain_frame(table.select(list(columns)))
     types = {
         name: STEP_COLUMNS[name][0]
@@ -245,7 +234,7 @@ def _as_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _is_compatible(stored: pa.DataType, name: str) -> bool:
-    """Return whether a stored type suits a column; other programs store integers as floats."""
+    """Return whether a stored type can be read as a column's; integers may be floats."""
     number = (pa.types.is_integer, pa.types.is_floating)
     kinds = {
         "str": (pa.types.is_string, pa.types.is_large_string, pa.types.is_dictionary),

@@ -33,7 +33,7 @@ from dpbench.bench.record.recorded_steps import (
     wrong_type_error,
 )
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX, as_steps
-from dpbench.bench.record.step_table import complete_runs, frame_of_runs
+from dpbench.bench.record.step_table import complete_runs, runs_to_frame
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import decode_words, open_table
@@ -47,7 +47,7 @@ _OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
 
 class ComparedMachine(TypedDict, total=False):
-    """Properties that make times of two machines comparable."""
+    """Entries of `machine.json` that must be equal for times to be comparable."""
 
     cpu_model: str
     cores: int
@@ -59,7 +59,7 @@ class ComparedMachine(TypedDict, total=False):
 
 @with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
-    """`machine.json`; `others` are machines whose cells were gathered too."""
+    """Content of `machine.json`; `others` are further machines of gathered cells."""
 
     id: Required[str]
     governor: str
@@ -77,6 +77,8 @@ _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class _Requirements(TypedDict, total=False):
+    """Table `requirements` of `suite.json`: limits that a solver must keep."""
+
     error_move: _Positive
     failed_steps: Annotated[int, Field(ge=0)]
     p99_ms: _Positive
@@ -84,13 +86,15 @@ class _Requirements(TypedDict, total=False):
 
 
 class _Report(TypedDict, total=False):
+    """Table `report` of `suite.json`: the baseline and the step that the report shows first."""
+
     baseline: str | None
     step: int | None
     configuration: str | None
 
 
 class StudyDescription(TypedDict, total=False):
-    """A `[[study]]` of `suite.json`."""
+    """Table `[[study]]` of `suite.json`: base scenario, name and radius of a study."""
 
     base: Required[str]
     name: str | None
@@ -98,7 +102,7 @@ class StudyDescription(TypedDict, total=False):
 
 
 class RevisionDescription(TypedDict):
-    """A revision of dpbench."""
+    """Git commit of dpbench in `suite.json`, and whether its files were unchanged."""
 
     commit: str
     clean: bool
@@ -106,7 +110,7 @@ class RevisionDescription(TypedDict):
 
 @with_config(_OPEN)
 class SuiteDescription(TypedDict, total=False):
-    """`suite.json`."""
+    """Content of `suite.json`: the suite that was run, when, by which version, what was lost."""
 
     name: str
     title: str
@@ -125,7 +129,7 @@ class SuiteDescription(TypedDict, total=False):
 
 
 def parse_document(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
-    """Return the document of a file as a type; ResultsError, naming the key, for other types."""
+    """Return a JSON object checked as a type; ResultsError, naming the key, for a mismatch."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
         checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
@@ -152,8 +156,8 @@ _LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, 
 
 
 def check_runs(runs: pd.DataFrame, path: Path) -> None:
-    """Refuse rows that no campaign writes; ResultsError, naming the column and the row from 0."""
-    for column, is_bad, allowed in _rules(runs):
+    """Raise ResultsError, naming column and row, for rows that no campaign writes."""
+    for column, is_bad, allowed in _run_rules(runs):
         if is_bad.any():
             row = int(is_bad.to_numpy().argmax())
             value = runs[column].iloc[row]
@@ -161,8 +165,8 @@ def check_runs(runs: pd.DataFrame, path: Path) -> None:
             raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
 
 
-def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
-    """Yield column, rows that break its rule, and the rule."""
+def _run_rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+    """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
     for column, words in _WORDS.items():
         yield column, ~runs[column].isin(words), " | ".join(words)
     for column, least in _LEAST.items():
@@ -177,7 +181,7 @@ def _rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A result folder; columns as in `schema.py`.
+    """A result folder: its runs, steps, machine and suite.
 
     Parameters
     ----------
@@ -192,8 +196,8 @@ class Results:
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps in memory, some 500 bytes each; use `recorded` for large folders."""
-        return self.recorded.frame()
+        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
+        return self.recorded.read_all()
 
 
 @contextmanager
@@ -202,7 +206,7 @@ def lock_result_folder(
     suite: str,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
-    """Lock a result folder for one campaign of `suite`, and make it where it is missing.
+    """Lock a result folder for one campaign of `suite`; make it where it is missing.
 
     A report that is being written there is waited for with `patience`.
 
@@ -242,7 +246,7 @@ def lock_result_folder(
 
 @contextmanager
 def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterator[None]:  # noqa: B008 - frozen
-    """Lock a folder against other campaigns and reports; a wait is reported on stderr.
+    """Lock a result folder against other campaigns and reports, after waiting for them.
 
     A missing folder, or one on a disk without locks, is not locked.
 
@@ -260,24 +264,19 @@ def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterato
 
 
 def write_json(path: Path, document: Mapping[str, object]) -> None:
-    """Write `document` to `path`, whole or not at all."""
+    """Write a JSON file, whole or not at all."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 def read_accidents(out: Path) -> tuple[int, list[str]]:
-    """Return the number of lost cells and designs of a result folder, and its remarks.
-
-    Raises
-    ------
-    ResultsError : `suite.json` is missing or damaged.
-    """
+    """Return the number of lost cells and designs, and the remarks, in `suite.json`."""
     suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read the runs of a result folder; its steps are read on request.
+    """Return the results in a folder; its steps are read only on request.
 
     Parameters
     ----------
@@ -304,18 +303,19 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
 
 
 def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
-    """Return `machine.json` and `suite.json`; ResultsError, naming the file, for damage."""
+    """Return `machine.json` and `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "machine.json"
     return parse_document(read_json(path), MachineDescription, path), read_suite(folder)
 
 
 def read_suite(folder: Path) -> SuiteDescription:
-    """Return `suite.json`; ResultsError, naming file and key, where it is damaged."""
+    """Return `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "suite.json"
     return parse_document(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
+    """Return `runs.parquet` of a result folder, checked; ResultsError if damaged."""
     path = folder / "runs.parquet"
     with table_errors(path), open_table(path, error=ResultsError) as file:
         table = decode_words(file.read(), path, error=ResultsError)
@@ -327,7 +327,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = frame_of_runs(complete_runs(table)).reset_index(drop=True)
+        runs = runs_to_frame(complete_runs(table)).reset_index(drop=True)
         keys = [name for name in table.column_names if name.startswith(STUDY_PREFIX)]
         runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
@@ -341,12 +341,12 @@ def _read_runs(folder: Path) -> pd.DataFrame:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object of a file; ResultsError, naming the file, where there is none."""
+    """Return the JSON object in a file; ResultsError, naming the file, without one."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Return the SHA-256 of those files of a folder that exist, by name."""
+    """Return name: SHA-256 of those files of a folder that exist."""
     found = {}
     for name in names:
         if (folder / name).is_file():

@@ -385,44 +385,46 @@ RUN_COLUMNS = (
 _PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
-def _missing(dtype: DType, rows: int) -> Any:
-    """Return a column of that type without a value in any row."""
+def _missing_column(dtype: DType, rows: int) -> Any:
+    """Return a column of a type without a value in any row."""
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
     return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
 
 
 def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """Return `frame` with exactly these columns of their types; absent ones are missing."""
+    """Return `frame` with exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
     absent = {
-        dtype: _missing(dtype, len(frame)) for dtype in {dtype for dtype, _ in columns.values()}
+        dtype: _missing_column(dtype, len(frame))
+        for dtype in {dtype for dtype, _ in columns.values()}
     }
     out = {
-        name: _of_type(frame[name], dtype) if name in frame else absent[dtype]
+        name: _convert_column(frame[name], dtype) if name in frame else absent[dtype]
         for name, (dtype, _) in columns.items()
     }
     return pd.DataFrame(out, index=frame.index)
 
 
-def _of_type(column: pd.Series[Any], dtype: DType) -> Any:
+def _convert_column(column: pd.Series[Any], dtype: DType) -> Any:
+    """Return a column converted to a type, without a copy where it has it."""
     # Converting a column to the type it has copies it, and takes ten times as long as looking.
     return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return `frame` with the columns and types of `steps.parquet`; absent ones are missing."""
+    """Return `frame` with the columns and types of `steps.parquet`; absent ones have no values."""
     return as_columns(frame, STEP_COLUMNS)
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return `frame` with the columns and types of `runs.parquet`, then its columns x_<key>."""
+    """Return `frame` with the columns and types of `runs.parquet`, then its study keys."""
     runs = as_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
 def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the study columns of runs (N) with a column `cell`; none without a study.
+    """Return the study columns of runs (N) from their cells: name, point, replicate, keys.
 
     They are `study`, `study_point` and `replicate`, and an `x_<key>` for each key, a number where
     all its values are numbers and text else, missing in runs of other studies.
@@ -431,20 +433,19 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
     of_study = cells.str.contains('"study": {', regex=False)
     if not of_study.any():
         return pd.DataFrame(index=runs.index)
-    rows = {i: _columns_of(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
+    rows = {i: _study_row(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(runs.index)
     return table.assign(study=table["study"].fillna(""))
 
 
-def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
-    values = {f"{STUDY_PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
+def _study_row(study: dict[str, Any]) -> dict[str, Any]:
+    """Return the study columns of one cell: name, point, replicate, and its keys' values."""
+    values = {
+        f"{STUDY_PREFIX}{key}": json.dumps(value) if isinstance(value, list) else value
+        for key, value in study["x"].items()
+    }
     return {
         "study": study["name"],
         "study_point": study["point"],
         "replicate": study["replicate"],
     } | values
-
-
-def _plain(value: object) -> object:
-    """Return a value for a cell of a table: a list as text."""
-    return json.dumps(value) if isinstance(value, list) else value

@@ -55,12 +55,12 @@ _WHOLE_NUMBERS = [n for n, (dtype, _) in RUN_COLUMNS.items() if dtype in ("int32
 
 
 def absent_column(dtype: DType, rows: int) -> pa.Array:
-    """Return a column of that type without a value in any row."""
+    """Return an Arrow column of a type without a value in any row."""
     return pa.repeat(pa.scalar(_FILLERS.get(dtype), _ARROW[dtype]), rows)
 
 
-def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Return the columns of `runs.parquet` that some of the rows have."""
+def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return rows of `runs.parquet` as lists by column, without columns that no row has."""
     names = {name for row in rows for name in row}
     return {
         name: [row.get(name, _FILLERS.get(dtype)) for row in rows]
@@ -69,13 +69,8 @@ def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     }
 
 
-def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return columns of `runs.parquet` as a table of `RUNS_SCHEMA`; absent ones are missing.
-
-    Raises
-    ------
-    ValueError, TypeError, OverflowError : a value is of another type than its column.
-    """
+def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return columns of `runs.parquet` as a full table; ValueError or TypeError for wrong types."""
     arrays = {
         name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
         for name, (dtype, _) in RUN_COLUMNS.items()
@@ -85,7 +80,7 @@ def runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
 
 
 def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
-    """Return all `columns` as a table; absent ones are missing."""
+    """Return a table with all `columns`; absent ones have no values."""
     absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
     full = [
         arrays[name] if name in arrays else absent[dtype] for name, (dtype, _) in columns.items()
@@ -94,7 +89,7 @@ def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) ->
 
 
 def _check_whole_numbers(runs: pa.Table) -> pa.Table:
-    """Return a table of `RUNS_SCHEMA`; ValueError where a number is missing that no run lacks."""
+    """Return a table of runs; ValueError where a number is missing that no run lacks."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
             raise ValueError(f"{name}: no number")
@@ -102,7 +97,7 @@ def _check_whole_numbers(runs: pa.Table) -> pa.Table:
 
 
 def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
-    """Return the columns of the steps of one run.
+    """Return the steps of one run as an Arrow record batch.
 
     Parameters
     ----------
@@ -110,16 +105,17 @@ def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
         an absent column has no value in any row.
     """
     rows = len(steps["k"])
-    arrays = [_array(name, steps, rows) for name in STEPS_SCHEMA.names]
+    arrays = [_step_array(name, steps, rows) for name in STEPS_SCHEMA.names]
     return pa.RecordBatch.from_arrays(arrays, schema=STEPS_SCHEMA)
 
 
 def no_steps() -> pa.RecordBatch:
-    """Return the steps of a run that left none."""
+    """Return an Arrow record batch of steps without rows."""
     return step_batch({"k": np.zeros(0, np.int32)})
 
 
-def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
+def _step_array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
+    """Return one column of steps as an Arrow array; missing numbers become null."""
     dtype = STEP_COLUMNS[name][0]
     if name not in steps:
         return absent_column(dtype, rows)
@@ -132,8 +128,8 @@ def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
     return pa.array(numbers, mask=np.isnan(numbers))
 
 
-def concat_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
-    """Return one table of the steps of several runs, by their names."""
+def concat_steps(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
+    """Return the steps of several runs, by run_id, as one Arrow table."""
     steps = pa.Table.from_batches(batches.values(), STEPS_SCHEMA)
     counts = [batch.num_rows for batch in batches.values()]
     codes = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
@@ -145,7 +141,7 @@ def concat_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
 
 
 def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return whole runs (`FILE_SCHEMA`) as a Parquet file of one row group with page checksums."""
+    """Return steps as the bytes of a Parquet file of one row group, with page checksums."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
         sink,
@@ -168,22 +164,18 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
 
 
 def complete_steps(table: pa.Table) -> pa.Table:
-    """Return a table of steps with the columns of `FILE_SCHEMA`; absent ones are missing.
-
-    Raises
-    ------
-    ValueError, ArrowException : a column is of another type.
-    """
+    """Return a table with all columns of `steps.parquet`; ValueError for wrong types."""
     return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
 def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
+    """Return a table with exactly these columns, cast to a schema."""
     arrays = {name: table[name] for name in table.column_names if name in columns}
     return _complete_columns(arrays, len(table), columns).cast(schema)
 
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
-    """Write rows of `runs.parquet` with study keys and `metadata`, whole or not at all."""
+    """Write a table of runs to a Parquet file with `metadata`, whole or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         table = runs.replace_schema_metadata(dict(metadata))
@@ -193,8 +185,8 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
         part.unlink(missing_ok=True)
 
 
-def table_of_runs(frame: pd.DataFrame) -> pa.Table:
-    """Return a frame of runs as a table of `RUNS_SCHEMA`, followed by its study keys."""
+def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
+    """Return a data frame of runs as an Arrow table, followed by its study keys."""
     runs = as_runs(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
     schema = pa.schema([*RUNS_SCHEMA, *keys])
@@ -202,17 +194,12 @@ def table_of_runs(frame: pd.DataFrame) -> pa.Table:
 
 
 def complete_runs(table: pa.Table) -> pa.Table:
-    """Return a table of runs with the columns of `RUNS_SCHEMA`; absent ones are missing.
-
-    Raises
-    ------
-    ValueError, ArrowException : a column is of another type, or lacks a number that no run lacks.
-    """
+    """Return a table with all columns of `runs.parquet`; ValueError for wrong types."""
     return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 
 def plain_frame(table: pa.Table) -> pd.DataFrame:
-    """Return a table as a frame with nullable whole numbers, whatever pandas noted in it."""
+    """Return an Arrow table as a data frame with nullable whole numbers."""
     whole = {pa.int64(): pd.Int64Dtype()}
     frame: pd.DataFrame = table.replace_schema_metadata(None).to_pandas(
         types_mapper=whole.get, use_threads=False
@@ -220,8 +207,8 @@ def plain_frame(table: pa.Table) -> pd.DataFrame:
     return frame
 
 
-def frame_of_runs(table: pa.Table) -> pd.DataFrame:
-    """Return a table of `RUNS_SCHEMA` as a frame, by run_id."""
+def runs_to_frame(table: pa.Table) -> pd.DataFrame:
+    """Return an Arrow table of runs as a data frame, indexed by run_id."""
     for at, (name, (dtype, _)) in enumerate(RUN_COLUMNS.items()):
         if dtype == "bool" and table[name].null_count:
             table = table.set_column(at, name, pc.fill_null(table[name], False))
@@ -231,8 +218,8 @@ def frame_of_runs(table: pa.Table) -> pd.DataFrame:
     return runs.set_index("run_id", drop=False)
 
 
-def filter_runs(table: pa.Table, names: Container[str]) -> pa.Table:
-    """Return the rows of those runs."""
+def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
+    """Return the rows of a table of steps whose run_id is in `names`."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
     if not wanted.any():
@@ -241,9 +228,9 @@ def filter_runs(table: pa.Table, names: Container[str]) -> pa.Table:
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
 
-def rename_runs(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return the rows of those runs, under new names."""
-    some = filter_runs(table, names)
+def rename_steps(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """Return the rows of a table of steps whose run_id is in `names`, under new run_ids."""
+    some = filter_steps(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())
     renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(_CODED_STRING)
@@ -259,7 +246,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 
 
 def _json_value(value: object) -> object:
-    """Return a number of NumPy, or a missing one, as JSON has it."""
+    """Return a NumPy number or a missing one as JSON can hold it; TypeError for others."""
     if value is pd.NA:
         return None
     if isinstance(value, np.generic):
@@ -269,20 +256,20 @@ def _json_value(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class BatchPart:
-    """The finished cells of a batch: the outcome of each by run_id, and the bytes of the part."""
+    """The finished cells of a batch: the outcome of each by run_id, and their part file's bytes."""
 
     outcomes: Mapping[str, str]
     data: bytes
 
 
 def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
-    """Return a part of cells, each a row and steps, by run_id."""
-    steps = concat_runs({name: batch for name, (_, batch) in cells.items()})
-    return part_of(columns_of([row for row, _ in cells.values()]), steps)
+    """Return the part file of a batch from the row and steps of each cell."""
+    steps = concat_steps({name: batch for name, (_, batch) in cells.items()})
+    return encode_part(rows_to_columns([row for row, _ in cells.values()]), steps)
 
 
-def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
-    """Return a part of the columns of runs and of all their steps (`FILE_SCHEMA`)."""
+def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
+    """Return the part file with these columns of runs and all their steps."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
     return BatchPart(
         outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
@@ -290,13 +277,13 @@ def part_of(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
 
 
 def read_part(data: bytes) -> BatchPart:
-    """Return the part in the bytes of a file; one of `DAMAGE` where there is none."""
-    columns = runs_in(pq.read_metadata(pa.BufferReader(data)).metadata)
+    """Return the part in the bytes of a file; an error of `DAMAGE` where there is none."""
+    columns = read_part_runs(pq.read_metadata(pa.BufferReader(data)).metadata)
     return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 
 
-def runs_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
-    """Return the columns of runs in the metadata of a part; one of `DAMAGE` without any."""
+def read_part_runs(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+    """Return the columns of runs in a part file's metadata; an error of `DAMAGE` without any."""
     try:
         columns = json.loads((metadata or {})[RUNS.encode()])
     except RecursionError as error:

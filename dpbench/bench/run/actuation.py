@@ -17,7 +17,7 @@ from dpbench.ship.layout import AXES
 
 
 class Actuation:
-    """Applies u as command and force, both always in the same arrays.
+    """Actuation of a controller of forces: the limited u of a step is both command and force.
 
     Attributes
     ----------
@@ -29,36 +29,36 @@ class Actuation:
         self.command, self.tau, self.applied = command, tau, applied
 
     def prepare(self) -> None:
-        """Set up before the first step."""
+        """Set up the allocation solver, if any, before the first step."""
 
-    def act(self, k: int) -> int:
-        """Set command and force to the u of step k; return the time a solver took [ns]."""
+    def apply_step(self, k: int) -> int:
+        """Set command and force from the limited u of step k; return a solver's time [ns]."""
         return 0
 
 
 class ThrusterActuation(Actuation):
-    """Applies u as the forces of the thrusters."""
+    """Actuation of a controller of thrusters: u are their forces, T_e u the force on the ship."""
 
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
         super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
 
-    def act(self, k: int) -> int:
-        """Set the force to T_e u."""
+    def apply_step(self, k: int) -> int:
+        """Set the force on the ship to T_e u, from the thruster forces u of step k."""
         self._T_e.dot(self.command, out=self.tau)
         self._log.tau[k] = self.tau
         return 0
 
 
 class Allocator(Actuation):
-    """Allocates u at each sample, by a QP or by the pseudo-inverse, within all limits.
+    """Actuation of a cascade: allocates the force u to thrusters, by a QP or pseudo-inverse.
 
     Without a usable answer of the QP the pseudo-inverse acts.
 
     Parameters
     ----------
     solver : of the QPs; None where the pseudo-inverse allocates.
-    u : (3,) the demanded force, and after `act` what the thrusters make of it.
+    u : (3,) the demanded force, and after `apply_step` what the thrusters make of it.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class Allocator(Actuation):
         self._inverses: list[tuple[int, Matrix]] = [(0, problem.pseudo_inverse()), *losses]
 
     def prepare(self) -> None:
-        """Set up the solver before the first step."""
+        """Set up the allocation solver before the first step."""
         answers = self._log.allocation
         if self._solver is not None and answers is not None:
             answers.setup_once_ns[0] = self._solver.prepare()
 
-    def act(self, k: int) -> int:
-        """Set the command to what makes u, and u to T_e of it; return the time taken [ns]."""
+    def apply_step(self, k: int) -> int:
+        """Allocate the demand u to thrusters, set u to their sum; return the time [ns]."""
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False
         if self._solver is None:
@@ -103,11 +103,11 @@ class Allocator(Actuation):
     def _solve_allocation(
         self, k: int, demand: Vector, solver: TimedSolver
     ) -> tuple[Vector | None, bool, int]:
-        """Return Δf (n_f,), None if unusable; whether it is unfinished; its time [ns]."""
+        """Solve an allocation QP; return Δf (n_f,) or None, if unfinished, and its time [ns]."""
         builder, answers = self._builder.allocation, self._log.allocation
         assert builder is not None and answers is not None, "a QP allocates"
         t0 = self._clock()
-        step = solver.formulate(self._builder.allocate(k, demand, self.command))
+        step = solver.formulate(self._builder.emit_allocation(k, demand, self.command))
         t1 = self._clock()
         solution = solver.answer(step)
         spent_ns = self._clock() - t1
@@ -120,7 +120,7 @@ class Allocator(Actuation):
         return None, False, spent_ns
 
     def _pseudo_inverse_move(self, k: int, demand: Vector) -> Vector:
-        """Return Δf (n_f,) to the forces of the pseudo-inverse, without limits."""
+        """Return Δf (n_f,) to the forces that the pseudo-inverse allocates, without limits."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move
@@ -134,7 +134,7 @@ def build_actuation(
     clock: Clock,
     u: Vector,
 ) -> Actuation:
-    """Return the actuation of a run, whose applied u (n_u,) is always in the same array."""
+    """Return the actuation that a controller needs: forces, thrusters, or an allocation."""
     if isinstance(controller, CascadeController):
         return Allocator(controller, builder, log, solver, clock, u)
     if controller.commanded is not None:

@@ -9,8 +9,13 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, QPBuilder, loop_formulation, replay_formulation
-from dpbench.bench.run.slow_computer import find_delay, usage_of_process
+from dpbench.bench.run.formulation import (
+    BoxFormulation,
+    QPBuilder,
+    loop_formulation,
+    replay_formulation,
+)
+from dpbench.bench.run.slow_computer import find_delay, read_process_usage
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
@@ -33,7 +38,7 @@ def closed_loop_setup(
     *,
     hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
-    """Return the closed loop that a cell describes, along a scenario of as many steps.
+    """Return the parts of the closed loop that a cell describes.
 
     Parameters
     ----------
@@ -48,7 +53,7 @@ def closed_loop_setup(
     scenario = with_cell_formulation(cell, scenario)
     delay = find_delay(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
-    if delay.simulated and why:
+    if delay.is_simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
@@ -58,7 +63,7 @@ def closed_loop_setup(
     twice = [k for k in hung if hung.count(k) > 1]
 
     def build_solver(
-        workspace: Workspace, form: Box, answers: AnswerLog, *, skips: bool = True
+        workspace: Workspace, form: BoxFormulation, answers: AnswerLog, *, skips: bool = True
     ) -> TimedSolver:
         if last is None:
             return TimedSolver(workspace, form, clock)
@@ -68,7 +73,7 @@ def closed_loop_setup(
 
     solver = build_solver(workspace, formulated, log)
     setup = ClosedLoopSetup(
-        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
+        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, read_process_usage
     )
     if log.backup is not None:
         limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
@@ -79,7 +84,7 @@ def closed_loop_setup(
     if builder.allocation is not None and log.allocation is not None:
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
-        second = Box(builder.allocation.base())
+        second = BoxFormulation(builder.allocation.base())
         setup.allocating = build_solver(
             workspace.another(), second, log.allocation, skips=last in twice
         )
@@ -89,10 +94,7 @@ def closed_loop_setup(
 
 
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
-    """Return the workspace of a backup, which is set up from nothing at every step.
-
-    InputError where it cannot be opened.
-    """
+    """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
     route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
@@ -100,7 +102,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
 
 def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
-    """Return the scenario of a cell, with the baseline law in all of its QPs or in none."""
+    """Return the scenario, with the baseline law as controller where the cell asks for it."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())
@@ -113,10 +115,7 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """Return the steps as the solver gets them, the solver, and a log of the warm-up and `rounds`.
-
-    InputError for "sparse" QPs that have no scenario.
-    """
+    """Return the QPs in a solver's formulation, the timed solver, and a new raw log."""
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
     steps, formulated = replay_formulation(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

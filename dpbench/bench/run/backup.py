@@ -19,7 +19,7 @@ WARM_UP_SOLVES = 3
 
 
 class Backup:
-    """The second solver of a loop and the record of its answers.
+    """The backup solver of a closed loop, with the log of its answers.
 
     Parameters
     ----------
@@ -45,21 +45,21 @@ class Backup:
         self.recorded_ready_ns = log.ready_ns.copy()
         log.times[:], log.ready_ns[:] = -1, -1
 
-    def prepare(self) -> None:
-        """Solve without a record until nothing is cold."""
+    def warm_up(self) -> None:
+        """Solve some unrecorded QPs, so that the first real one is not slow."""
         self.solver.warm_up(WARM_UP_SOLVES)
 
-    def plan(self, k: int, step: QPStep) -> Matrix | None:
-        """Return the plan (N_c, n_u) of the answer to step k; None without a usable one."""
-        return self.record(k, self.answer(k, step))
+    def solve_step(self, k: int, step: QPStep) -> Matrix | None:
+        """Solve the QP of step k and return its plan (N_c, n_u); None without a usable answer."""
+        return self.log_answer(k, self.answer(k, step))
 
     def answer(self, k: int, step: QPStep) -> Solution:
-        """Solve step k; return the missing answer where it hung in an earlier process."""
+        """Return the answer to step k; a missing one where it hung in an earlier process."""
         if k in self._hung:
-            return self.solver.missing(self._limit_ns)
+            return self.solver.answer_hung_step(self._limit_ns)
         return self.solver.answer(step)
 
-    def record(self, k: int, answer: Solution) -> Matrix | None:
+    def log_answer(self, k: int, answer: Solution) -> Matrix | None:
         """Record the answer to step k; return its plan (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
@@ -70,12 +70,7 @@ class Backup:
 
 
 class LoopWithBackup:
-    """Solver and fallback of a loop that waits for each answer; replaces both in the loop.
-
-    Attributes
-    ----------
-    acted : whether the last move was not one of the solver's own answer.
-    """
+    """Solver, backup solver and fallback of a loop that waits for every answer."""
 
     def __init__(
         self,
@@ -91,42 +86,42 @@ class LoopWithBackup:
 
     @property
     def phases_ns(self) -> tuple[int, ...]:
-        """Phases of the solver alone [ns]."""
+        """Times of the main solver's phases in the last step [ns]."""
         return self._solver.phases_ns
 
     @property
     def waited_ns(self) -> int:
-        """Wait for the core in the last answer of the solver [ns]; −1 if unknown."""
+        """Wait for the core during the main solver's last answer [ns]; −1 if unknown."""
         return self._solver.waited_ns
 
     @property
     def matrix_updates(self) -> int:
-        """Updates of the solver."""
+        """Number of updates in which the main solver took new matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, and warm up the backup."""
-        self._backup.prepare()
+        """Warm up the backup and set up the main solver; return the set-up time [ns]."""
+        self._backup.warm_up()
         return self._solver.prepare()
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Emit the QP of step k."""
+        """Return the QP of step k for x (n_x,) and u_prev (n_u,)."""
         self._k = k
         return self._emit(k, x, u_prev)
 
     def answer(self, step: QPStep) -> Solution:
-        """Return the solver's answer; where unusable, the backup solves the step too."""
+        """Return the main solver's answer; if it is unusable, let the backup solve the step."""
         solution = self._solver.answer(step)
-        self._plan = None if is_usable(solution) else self._backup.plan(self._k, step)
+        self._plan = None if is_usable(solution) else self._backup.solve_step(self._k, step)
         return solution
 
     def remember(self, plan: Matrix) -> Vector:
-        """Remember the solver's own plan, as `FallbackPolicy.remember`."""
+        """Store the main solver's plan (N_c, n_u) and return its first move."""
         self.acted = False
         return self._law.remember(plan)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) of the backup's plan, or of the fallback."""
+        """Return Δu (n_u,) of the backup's plan, or of the fallback where it has none."""
         self.acted = True
         if self._plan is None:
             return self._law.move(x, y_ref, u_prev)

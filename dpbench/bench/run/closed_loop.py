@@ -32,7 +32,7 @@ SolverReplacement = LoopWithBackup | SlowComputer
 
 @dataclass(slots=True, eq=False)
 class ClosedLoopSetup:
-    """The parts of a closed loop.
+    """The parts of a closed loop: scenario, QP builder, solver, fallback, log and limits.
 
     `fallback` acts without a usable answer; `limit_ns` of own run time end the run. `delay` is that
     of a slow computer, None where the ship waits for each answer; `usage` counts preemptions there.
@@ -55,14 +55,14 @@ class ClosedLoopSetup:
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
-    """Run a scenario and record every step; return False when the time limit stopped it."""
+    """Run a closed loop and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
     plant = _build_plant(scenario)
     weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    solver, law, emit = _controller_parts(setup)
+    solver, law, emit = _choose_controller_parts(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
     model = builder.condensed.control.model
@@ -73,7 +73,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     limit, limits = scenario.controller.move_limit(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
-    act = actuation.act
+    act = actuation.apply_step
     actuation.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
@@ -116,16 +116,16 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _controller_parts(
+def _choose_controller_parts(
     setup: ClosedLoopSetup,
 ) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
-    """Return the objects that answer, act without an answer, and emit; they may be one."""
+    """Return what answers QPs, what acts without an answer, and what emits; may be one object."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
     law = FALLBACKS[setup.fallback](
         control.N_c, control.model.n_u, UnconstrainedLaw(builder.condensed)
     )
-    if setup.delay is not None and setup.delay.simulated:
+    if setup.delay is not None and setup.delay.is_simulated:
         latency_ns = setup.log.latency_ns
         computer = SlowComputer(
             setup.delay, solver, builder, law, latency_ns, setup.usage, backup=backup
@@ -138,7 +138,7 @@ def _controller_parts(
 
 
 def _build_plant(scenario: Scenario) -> Plant:
-    """Return the true ship in its start, in this weather, with these actuators."""
+    """Return the simulated ship of a scenario in its initial state, with weather and actuators."""
     return Plant(
         scenario.true_ship,
         scenario.first_state,

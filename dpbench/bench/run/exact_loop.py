@@ -20,7 +20,7 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import open_arrays, write_arrays
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.formulation import Box, QPBuilder
+from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
@@ -45,7 +45,7 @@ Part = Literal["controller", "allocation"]
 
 
 class ExactWorkspace(Workspace):
-    """The referee's optimum behind the workspace contract; scaled QPs only."""
+    """A workspace whose answers are the referee's certified optima; scaled QPs only."""
 
     def __init__(self) -> None:
         super().__init__("exact", "native", "reuse")
@@ -56,7 +56,7 @@ class ExactWorkspace(Workspace):
         """The optimum of every solved step, in order."""
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Take the constant matrices."""
+        """Store the matrices of a QP and make a referee for them."""
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
         self._referee = (
@@ -67,20 +67,20 @@ class ExactWorkspace(Workspace):
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Take the vectors, and matrices where they are others than before."""
+        """Store the vectors of a step, and its matrices where they have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
         self._step = step
 
     def solve(self) -> None:
-        """Certify the optimum of the current step."""
+        """Certify the optimum of the current step and store it."""
         assert self._referee is not None and self._step is not None, "setup comes first"
         step = self._step
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
-        """Return the certified optimum, or the proof of none; CertificateError without either.
+        """Return the certified optimum, or a proven infeasibility; else CertificateError.
 
         A step that is undecided at rounding has no answer either.
         """
@@ -95,7 +95,7 @@ class ExactWorkspace(Workspace):
 
 @dataclass(frozen=True, eq=False)
 class ExactLoop:
-    """The exactly solved loop of a scenario.
+    """The exactly solved loop of a scenario: states, forces and certified optima of every step.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class ExactLoop:
     drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write to `path` (.npz)."""
+        """Write the states, forces and optima of the loop to a `.npz` file."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
         arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
@@ -128,10 +128,10 @@ class ExactLoop:
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
-        """Read what `save` wrote; ResultsError where it is damaged or gone."""
+        """Return the loop in a file written by `save`; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
-            demand, drawn = stored.get("demand"), stored_weather(stored)
+            demand, drawn = stored.get("demand"), read_stored_weather(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
                 _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
@@ -140,14 +140,14 @@ class ExactLoop:
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
 
 
-def stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
-    """Return the precomputed weather of a stored loop."""
+def read_stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
+    """Return the precomputed weather in the arrays of a stored loop."""
     names = [name for name in stored if name.startswith(_DRAWN)]
     return {name.removeprefix(_DRAWN): stored[name] for name in names}
 
 
-def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
-    """Return n and m of a stored cascade's second QPs, as in `QPBuilder.sizes`."""
+def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
+    """Return n and m of the allocation QPs in a stored loop; None where it is no cascade."""
     if "demand" not in stored:
         return None
     if f"{ALLOCATED}_z" not in stored:
@@ -156,7 +156,7 @@ def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | No
 
 
 def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """Return the fields of optima as arrays, with a prefix."""
+    """Return the fields of optima as arrays over steps, with a prefix to their names."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
@@ -164,7 +164,7 @@ def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any
 
 
 def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
-    """Return the optima of such arrays."""
+    """Return the optima stored as arrays whose names have a prefix."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
         Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
@@ -173,7 +173,7 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:
-    """Run the scenario with the certified optimum of every step.
+    """Run a closed loop of a scenario with the certified optimum of every step.
 
     Where a step is proven to have no feasible point, the loop follows its last plan;
     CertificateError when a step has neither.
@@ -183,12 +183,12 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     base = base_problem(builder.condensed)
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
-    timed_solver = TimedSolver(workspace, Box(base), clock)
+    timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
     drawn = scenario.environment.precompute_weather(scenario.steps, scenario.sample_s, SUBSTEPS)
     setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:
-        setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)
+        setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
     closed_loop(setup)
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
@@ -200,14 +200,14 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:
-    """Return the problem at rest in the reference with no force, for the set-up."""
+    """Return the QP of a ship at rest at its setpoint without force, for a solver's set-up."""
     problem = builder.control
     zero = np.zeros
     step = builder.emit(zero(problem.model.n_x), zero(problem.model.n_y), zero(problem.model.n_u))
     return builder.problem(step)
 
 
-def sequence_of(
+def rebuild_sequence(
     scenario: Scenario,
     exact: ExactLoop,
     *,
@@ -216,20 +216,14 @@ def sequence_of(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """Return the QPs of `count` steps from `first` on along the exactly solved loop.
-
-    Raises
-    ------
-    ResultsError : the loop has no such steps.
-    InputError : "allocation" where no second QP allocates.
-    """
+    """Return the QPs of `count` steps from `first` on along an exactly solved loop."""
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"
         raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
-        emitted, base, scale = _allocation_steps(scenario, exact, builder, steps)
+        emitted, base, scale = _rebuild_allocation_steps(scenario, exact, builder, steps)
     else:
         emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
         base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
@@ -237,16 +231,16 @@ def sequence_of(
     name = whole if first == 0 else f"{whole}[{first}:{last}]"
     scaled, sparse = None, None
     if units != "scaled":
-        scaled = sequence_of(scenario, exact, first=first, count=last - first, part=part)
+        scaled = rebuild_sequence(scenario, exact, first=first, count=last - first, part=part)
     if part == "controller":
         theta = exact.theta[first:last]
-        sparse = partial(_sparse_equivalent, scenario, theta, units, first, name)
+        sparse = partial(_rebuild_sparse_sequence, scenario, theta, units, first, name)
     return QPSequence(
         name=name,
         base=base,
         P=_stack_matrices([step.P for step in emitted]),
         A=_stack_matrices([step.A for step in emitted]),
-        **_step_vectors(emitted),
+        **_stack_vectors(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -254,36 +248,37 @@ def sequence_of(
     )
 
 
-def _allocation_steps(
+def _rebuild_allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram, Units]:
-    """Return the second QPs of a cascade, the problem of the first, and its units."""
+    """Return a cascade's allocation QPs, the problem of the first, and their units."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         allowed = 'a cascade with allocation = "qp"'
         raise InputError(f"sequence of {scenario.name}", "part", '"allocation"', allowed)
-    emitted = [builder.allocate_again(k, demand, exact.thrust) for k in steps]
+    emitted = [builder.rebuild_allocation(k, demand, exact.thrust) for k in steps]
     return emitted, allocation.problem(emitted[0]), allocation.scale
 
 
-def _sparse_equivalent(
+def _rebuild_sparse_sequence(
     scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
 ) -> SparseEquivalent:
-    """Return the QPs along θ (K, 16) from step `first` on, with their states."""
+    """Return the QPs of recorded θ (K, 16) in sparse form, and the map of its answers back."""
     builder = QPBuilder(scenario, units, sparse=True)
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(name, staged.problem(steps[0]), **_step_vectors(steps))
+    sequence = QPSequence(name, staged.problem(steps[0]), **_stack_vectors(steps))
     return SparseEquivalent(sequence, staged.condensed)
 
 
-def _step_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+def _stack_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+    """Return the vectors q (K, n), l (K, m) and u (K, m) of K steps, by name."""
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
 def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
-    """Return the matrices of all steps, None where the steps bring none."""
+    """Return the matrices of all steps as one array; None where the steps bring none."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None
 
@@ -291,5 +286,5 @@ def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
 def record_sequence(
     scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
 ) -> QPSequence:
-    """Return the QPs along the exactly solved loop of a scenario, or of its allocation."""
-    return sequence_of(scenario, solve_exactly(scenario), units=units, part=part)
+    """Solve a scenario's loop exactly and return the QPs of its controller or allocation."""
+    return rebuild_sequence(scenario, solve_exactly(scenario), units=units, part=part)

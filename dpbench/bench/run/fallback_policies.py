@@ -12,7 +12,7 @@ Law = Callable[[Vector, Vector, Vector], Vector]
 
 
 class FallbackPolicy:
-    """Moves the ship in steps without a usable answer; this one holds the force.
+    """Policy for the move of a step without a usable answer; this one holds the force.
 
     Parameters
     ----------
@@ -38,28 +38,28 @@ class FallbackPolicy:
         return first
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) in place of the missing answer."""
+        """Return Δu (n_u,) for a step without a usable answer: zero, which holds the force."""
         self.acted = True
         return np.zeros(self._plan.shape[1])
 
 
 class ShiftedPlan(FallbackPolicy):
-    """Follows the last usable plan, one move further each step, then holds."""
+    """A fallback that follows the last usable plan, one move further each step, then holds."""
 
     follows_plans = True
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) of the plan."""
+        """Return Δu (n_u,): the next move of the last usable plan, zero after its end."""
         hold = super().move(x, y_ref, u_prev)
         self._age += 1
         return self._plan[self._age] if self._age < len(self._plan) else hold
 
 
 class Clip(FallbackPolicy):
-    """Applies the unconstrained law (eq. 33), which the loop clips."""
+    """A fallback that applies the unconstrained law (eq. 33), clipped by the loop."""
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) of the law."""
+        """Return Δu (n_u,) of the unconstrained law."""
         self.acted = True
         return self._law(x, y_ref, u_prev)
 

@@ -19,13 +19,13 @@ import numpy as np
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, step_ns
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, sum_step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
 MOST_STEPS = 50
 LIMIT_NS = 2e8
-"""Run time of all passes of `measure_steps` together, by the slowest step before."""
+"""Run time of all passes of `measure_step_memory` together, by the slowest step before."""
 _PASSES = 4
 
 
@@ -36,7 +36,7 @@ _MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.lim
 
 
 def _read_status(key: str, process: int | str = "self") -> float:
-    """Return a number of /proc/<process>/status (proc(5)), kB as bytes; NaN where there is none."""
+    """Return an entry of /proc/<process>/status [B or count]; NaN where there is none."""
     with suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace")
         for line in text.splitlines():
@@ -47,8 +47,8 @@ def _read_status(key: str, process: int | str = "self") -> float:
     return float("nan")
 
 
-def forget_peak() -> None:
-    """Reset the peak memory of this process; a kernel may refuse that."""
+def reset_peak_memory() -> None:
+    """Reset the kernel's record of this process's peak memory, where it allows that."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
@@ -59,8 +59,8 @@ def process_peak_bytes(process: int | str = "self") -> float:
 
 
 @cache
-def memory_bytes() -> int:
-    """Return the memory of this machine or its container [B]."""
+def machine_memory_bytes() -> int:
+    """Return the memory of this machine, or of its container [B]."""
     sizes = [int(psutil.virtual_memory().total)]
     for path in _MEMORY_LIMITS:
         with suppress(OSError, ValueError):
@@ -69,7 +69,7 @@ def memory_bytes() -> int:
 
 
 def limit_memory(size: int) -> None:
-    """Limit the data of this process to `size` bytes more than now (RLIMIT_DATA, getrlimit(2)).
+    """Limit the data of this process to `size` bytes more than now (RLIMIT_DATA).
 
     Each process that it starts has the same limit for itself. Files and reserved address space do
     not count, of which libraries map far more than they use, so RLIMIT_AS would refuse them.
@@ -82,49 +82,49 @@ def limit_memory(size: int) -> None:
 
 
 def mark_as_first_oom_victim() -> None:
-    """Let the kernel end this process first when memory is full."""
+    """Let the kernel kill this process first when memory is full."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 class MemoryWatch:
-    """Peak resident memory of a worker above what it was forked with and what the harness holds.
+    """Meter of a solver's peak memory: that of its worker, less the harness's own part.
 
     Made before the solver's library is imported. A forked process starts with its parent's present
     memory as its peak, which is subtracted; an older process resets its peak first.
     """
 
     def __init__(self) -> None:
-        forget_peak()
+        reset_peak_memory()
         self._at_birth = _read_status("VmRSS")
         self._peak_of_import = self._imported = self._harness = float("nan")
         self._left = 0.0
 
-    def begin_again(self) -> None:
-        """Begin another replay in the same process, without memory left by others."""
-        forget_peak()
+    def begin_replay(self) -> None:
+        """Start measuring another replay in the same process, without memory of earlier ones."""
+        reset_peak_memory()
         self._left = _read_status("VmRSS") - self._imported
 
     def record_setup(self) -> None:
-        """Mark that the library is loaded; what follows until `record_load` is the harness's."""
+        """Note the memory after the solver's library is loaded, before QPs and log are."""
         if isnan(self._imported):
             self._peak_of_import = _read_status("VmHWM") - self._at_birth
             self._imported = _read_status("VmRSS")
         self._harness = -_read_status("VmRSS")
 
     def record_load(self, log: RawLog) -> None:
-        """Mark that QPs and log are in memory; touch the pages of the log."""
-        log.touch()
+        """Note the memory after QPs and log are loaded, with the log's pages mapped."""
+        log.touch_pages()
         self._harness += _read_status("VmRSS")
 
     def peak_bytes(self) -> float:
-        """Return the solver's peak until now [B]."""
+        """Return the solver's peak memory until now [B]."""
         since = _read_status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
         return max(self._peak_of_import, since)
 
 
-def threads() -> tuple[float, float]:
-    """Return the threads of this process, and the most that a loaded BLAS or OpenMP would use."""
+def count_threads() -> tuple[float, float]:
+    """Return the threads of this process, and the most a loaded BLAS or OpenMP would use."""
     pools = [int(pool["num_threads"]) for pool in threadpool_info()]
     return _read_status("Threads"), float(max(pools, default=1))
 
@@ -137,7 +137,8 @@ class _HeapInfo(ctypes.Structure):
 
 
 @cache
-def _mallinfo2() -> Callable[[], _HeapInfo] | None:
+def _load_mallinfo2() -> Callable[[], _HeapInfo] | None:
+    """Return the C function mallinfo2; None without glibc 2.33."""
     try:
         function = ctypes.CDLL(None).mallinfo2
     except (OSError, AttributeError):
@@ -148,23 +149,23 @@ def _mallinfo2() -> Callable[[], _HeapInfo] | None:
 
 def heap_bytes() -> float:
     """Return the bytes in use of the C heap; NaN without glibc 2.33."""
-    read = _mallinfo2()
+    read = _load_mallinfo2()
     if read is None:
         return float("nan")
     info = read()
     return float(info.uordblks + info.hblkhd)
 
 
-def affordable_steps(log: RawLog) -> int:
-    """Return how many steps all passes can take within `LIMIT_NS`."""
-    slowest = step_ns(log.times).max()
+def count_affordable_steps(log: RawLog) -> int:
+    """Return how many steps can be measured within `LIMIT_NS`, by the slowest one so far."""
+    slowest = sum_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 
-def measure_steps(
+def measure_step_memory(
     sequence: QPSequence, solver: TimedSolver, steps: int
 ) -> tuple[float, float, float]:
-    """Return the allocations of answering one step, outside all timed rounds.
+    """Return memory blocks, peak bytes and heap growth of answering one step, untimed.
 
     Returns
     -------
@@ -205,5 +206,5 @@ def measure_steps(
 
 
 def footprint_metrics(log: RawLog) -> dict[str, float]:
-    """Return the columns on memory and threads."""
+    """Return the memory and thread columns of a replay from its raw log."""
     return dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))

@@ -22,7 +22,7 @@ from dpbench.scenario.scenario import Scenario
 
 
 class QPBuilder:
-    """Emits the QPs of a scenario.
+    """Builder of the QPs of a scenario's controller, and of a cascade's allocation, by step.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class QPBuilder:
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
-        """Sizes n, m, len [θ; 1], n_f, and (n, m) of a cascade's second QP, 0 without a QP."""
+        """n, m, length of [θ; 1], n_f, and (n, m) of a cascade's allocation QP, 0 without a QP."""
         second = (0, 0) if self._allocates else None
         if self.allocation is not None:
             second = self.allocation.n, self.allocation.m
@@ -61,7 +61,7 @@ class QPBuilder:
         return condensed.n, condensed.m, int(condensed.Z.shape[1]), self._n_f, second
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Emit the QP of step k for x (9,), u_prev (n_u,)."""
+        """Return the QP of step k for x (9,) and u_prev (n_u,)."""
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
         limits = self.limits[k]
@@ -70,29 +70,29 @@ class QPBuilder:
         return self._emit(x, y_ref, u_prev, limits=limits)
 
     def rebuild(self, k: int, theta: Vector) -> QPStep:
-        """Return the QP of step k from its recorded [x; y_ref; u_prev; 1]."""
+        """Return the QP of step k from its recorded θ = [x; y_ref; u_prev; 1]."""
         model = self.condensed.control.model
         n_x, n_y = model.n_x, model.n_y
         return self.emit(k, theta[:n_x], theta[n_x + n_y : -1])
 
-    def allocate(self, k: int, demand: Vector, f_prev: Vector) -> QPStep:
-        """Emit the second QP of step k of a cascade for demand (3,), f_prev (n_f,)."""
+    def emit_allocation(self, k: int, demand: Vector, f_prev: Vector) -> QPStep:
+        """Return a cascade's allocation QP of step k for demand (3,) and f_prev (n_f,)."""
         assert self.allocation is not None, "a QP allocates"
         limits = self.thruster_limits[k]
         if limits is self.allocation.allocation.rows.intact:
             return self.allocation.emit(demand, f_prev)
         return self.allocation.emit(demand, f_prev, limits=limits)
 
-    def allocate_again(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
-        """Return that QP from the recorded demand (K, 3) and forces (K, n_f)."""
-        return self.allocate(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
+    def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
+        """Return the allocation QP of step k from recorded demand (K, 3), forces (K, n_f)."""
+        return self.emit_allocation(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
 
 
 NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"
 
 
-class Box:
-    """A formulation of a sequence of QPs: the condensed problem as it is emitted.
+class BoxFormulation:
+    """The condensed formulation of QPs, with box constraints, as they are emitted.
 
     `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
     steps without any. The arrays of a step that go to the solver are its own.
@@ -102,7 +102,7 @@ class Box:
         self.base = base
 
     def step(self, step: QPStep) -> QPStep:
-        """Return what the solver gets of an emitted step."""
+        """Return an emitted step as the solver gets it, with arrays of its own."""
         # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
@@ -110,57 +110,64 @@ class Box:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """Return the answer to the condensed problem."""
+        """Return a solver's answer as that to the condensed problem."""
         return answer
 
 
-class Stacked(Box):
-    """The paper's one-sided rows (eq. 23-25), made of each emitted step."""
+class StackedFormulation(BoxFormulation):
+    """The formulation of QPs with one-sided rows only, as in the paper (eq. 23-25)."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         super().__init__(stack(base))
         self._m = base.m
 
     def step(self, step: QPStep) -> QPStep:
-        """Return the step with all limits as one-sided rows."""
+        """Return an emitted step with all its limits as one-sided rows."""
         return super().step(stack_step(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
-        """Join the multipliers of both sides of each row."""
+        """Return an answer with the multipliers of both sides of each row joined."""
         return unstack(answer, self._m)
 
 
-class Sparse(Box):
-    """The stage-ordered problem, emitted as such; `condensed` maps its answers back."""
+class SparseFormulation(BoxFormulation):
+    """The stage-ordered sparse formulation; `condensed` maps its answers back."""
 
     def __init__(self, base: QuadraticProgram, condensed: Callable[[Solution], Solution]) -> None:
         super().__init__(base)
         self._condensed = condensed
 
     def solution(self, answer: Solution) -> Solution:
-        """Return the moves and the multipliers of their limits."""
+        """Return an answer to the sparse problem as that to the condensed one."""
         return self._condensed(answer)
 
 
-def loop_formulation(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Box:
-    """Return the formulation of a closed loop; `base` is a condensed problem of the builder."""
+def loop_formulation(
+    formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
+) -> BoxFormulation:
+    """Return the formulation in which a closed loop hands its QPs to the solver."""
     if builder.staged is None:
-        return _condensed_formulation(formulation, base)
+        return _choose_condensed_formulation(formulation, base)
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
-    return Sparse(staged.problem(staged.emit(*at_rest)), staged.condensed)
+    return SparseFormulation(staged.problem(staged.emit(*at_rest)), staged.condensed)
 
 
-def replay_formulation(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Box]:
+def replay_formulation(
+    formulation: Formulation, sequence: QPSequence
+) -> tuple[QPSequence, BoxFormulation]:
     """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
-        return sequence, _condensed_formulation(formulation, sequence.base)
+        return sequence, _choose_condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
     sparse = sequence.sparse_equivalent()
-    return sparse.sequence, Sparse(sparse.sequence.base, sparse.condensed)
+    return sparse.sequence, SparseFormulation(sparse.sequence.base, sparse.condensed)
 
 
-def _condensed_formulation(formulation: Formulation, base: QuadraticProgram) -> Box:
-    return Stacked(base) if formulation == "condensed_stacked" else Box(base)
+def _choose_condensed_formulation(
+    formulation: Formulation, base: QuadraticProgram
+) -> BoxFormulation:
+    """Return the stacked or the box formulation of a condensed problem."""
+    return StackedFormulation(base) if formulation == "condensed_stacked" else BoxFormulation(base)

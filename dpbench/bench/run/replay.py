@@ -11,7 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import read_counters
-from dpbench.bench.record.raw_log import RawLog, spent_ns
+from dpbench.bench.record.raw_log import RawLog, sum_phases_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
@@ -38,6 +38,7 @@ _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
 def _increment(value: int) -> int:
+    """Return `value` + 1, as a Python call of the load kernel."""
     return value + 1
 
 
@@ -58,8 +59,8 @@ def _load_kernel() -> None:
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """Return the smallest time of the reference kernel; fill `load_kernel_ns` [ns]."""
+def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
+    """Return the shortest time of the reference kernel [ns]; write those of the load kernel."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()
@@ -73,7 +74,7 @@ def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> i
 
 
 class ReplayRun:
-    """One solver replaying one sequence.
+    """Replay of one sequence of QPs with one solver, round by round.
 
     Parameters
     ----------
@@ -105,13 +106,13 @@ class ReplayRun:
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
 
-    def rounds(self) -> None:
+    def run_all_rounds(self) -> None:
         """Replay the warm-up and every round that the log has room for."""
         for r in range(len(self._log.done)):
-            self.round(r)
+            self.run_round(r)
 
     def _warm_caches(self, steps: int) -> None:
-        """Solve the first `preroll` of so many steps, and forget them."""
+        """Solve the first steps of a round once without a record, to warm caches."""
         log, solver = self._log, self._solver
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
@@ -121,12 +122,8 @@ class ReplayRun:
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()
 
-    def round(self, r: int) -> bool:
-        """Replay round r into its rows; return False when the time limit stopped it.
-
-        The worker slept on its pipe until now, so the first steps are solved once before, to warm
-        caches.
-        """
+    def run_round(self, r: int) -> bool:
+        """Replay round r into the log; return False when the time limit stopped it."""
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]
@@ -137,26 +134,28 @@ class ReplayRun:
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = read_counters()
-        log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
+        log.reference_kernel_ns[r, 0] = time_kernels(clock, log.load_kernel_ns[r, 0])
         start_ns = clock()
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
         for k in range(begin, steps):
             step = solver.formulate(sequence.step(k))
             is_skipped = hung and k in hung
-            solution = solver.missing(self._limit_ns) if is_skipped else solver.answer(step)
+            solution = (
+                solver.answer_hung_step(self._limit_ns) if is_skipped else solver.answer(step)
+            )
             record_answer(log, r, k, solution, solver.waited_ns)
             if not is_usable(solution):
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = spent_ns(solver.phases_ns)
+                log.first_ns[k] = sum_phases_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - start_ns > limit_ns:
                 return False
         self._spent_ns[r] = clock() - start_ns
-        log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
+        log.reference_kernel_ns[r, 1] = time_kernels(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
         np.subtract(read_counters(), before, out=log.counters[r])

@@ -22,7 +22,7 @@ import numpy as np
 
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
-from dpbench.bench.record.raw_log import spent_ns
+from dpbench.bench.record.raw_log import sum_phases_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
@@ -40,41 +40,41 @@ NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
 
 @dataclass(frozen=True)
 class ComputationalDelay:
-    """Slow-down (≥ 1) of a computer, its budget for a step, and the sample time [ns]."""
+    """Slow-down of a simulated ship's computer, budget of a step and sample time [ns]."""
 
     slowdown: float
     budget_ns: int
     sample_ns: int
 
     @property
-    def simulated(self) -> bool:
-        """Return whether answers may arrive late; else the loop waits for each."""
+    def is_simulated(self) -> bool:
+        """Return whether answers may arrive late; otherwise the loop waits for each."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Return the latency of an answer that took so long; at most 2^62."""
+        """Return the latency of an answer computed in `spent_ns` [ns]; at most 2^62."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
-    def samples_late(self, latency_ns: int) -> int:
-        """Return the samples until an answer applies; 0 for one in time."""
+    def count_samples_late(self, latency_ns: int) -> int:
+        """Return the number of samples until an answer of this latency applies; 0 if in time."""
         if latency_ns <= self.budget_ns:
             return 0
         return max(1, -(-latency_ns // self.sample_ns))
 
 
-def usage_of_process() -> tuple[int, int]:
-    """Return involuntary context switches and processor time [ns] (getrusage)."""
+def read_process_usage() -> tuple[int, int]:
+    """Return this process's involuntary context switches and processor time [ns]."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
 def never_preempted() -> tuple[int, int]:
-    """Return the counts of a process that is never interrupted."""
+    """Return (0, 0), the usage of a process that is never interrupted."""
     return 0, 0
 
 
 def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """Return the delay of a closed-loop cell; InputError for one that cannot be."""
+    """Return the computational delay of a closed-loop cell; InputError for an impossible one."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -87,7 +87,7 @@ def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
 
 
 class SlowComputer:
-    """Solver and fallback of a loop on one slow processor; replaces both in the loop.
+    """Solver and fallback of a loop on one slow processor, whose answers may arrive late.
 
     Parameters
     ----------
@@ -136,19 +136,19 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Updates of the solver."""
+        """Number of updates in which the solver took new matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, then solve until nothing is cold."""
+        """Set up and warm up solver and backup; return the set-up time [ns]."""
         spent = self._solver.prepare()
         self._solver.warm_up(WARM_UP_SOLVES)
         if self._backup is not None:
-            self._backup.prepare()
+            self._backup.warm_up()
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Emit the QP of step k, `NO_STEP` while busy; a plan that is due arrives."""
+        """Return the QP of step k, `NO_STEP` while the processor is busy; let a due plan arrive."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
@@ -158,17 +158,17 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """Return the step in the formulation of the solver."""
+        """Return an emitted step in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve, however long it takes; without a computation, no answer."""
+        """Solve a step however long it takes; return no answer while the processor is busy."""
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
         solution, latency_ns = self._time_answer(self._solver, self._solver.answer, step)
         self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
-        samples = self._delay.samples_late(latency_ns)
+        samples = self._delay.count_samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
         self._started, self._free = self._k, self._k + max(1, samples)
@@ -183,11 +183,11 @@ class SlowComputer:
     def _time_answer(
         self, solver: TimedSolver, answer: Callable[[QPStep], Solution], step: QPStep
     ) -> tuple[Solution, int]:
-        """Return a solver's answer and its latency [ns]."""
+        """Return a solver's answer and its simulated latency [ns]."""
         switches, used_ns = self._usage()
         solution = answer(step)
         switches_after, used_after_ns = self._usage()
-        step_ns = spent_ns(solver.phases_ns)
+        step_ns = sum_phases_ns(solver.phases_ns)
         if solver.repeated:
             recorded_ns = int(self._recorded_ns[self._k])
             # The step that hung has none yet; it took its whole limit.
@@ -204,7 +204,7 @@ class SlowComputer:
             # The step that hung has none yet.
             recorded_ns = int(backup.recorded_ready_ns[self._k])
         ready_ns = recorded_ns if recorded_ns >= 0 else begins_ns + latency_ns
-        plan = backup.record(self._k, answer)
+        plan = backup.log_answer(self._k, answer)
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
         if plan is None or ready_ns > self._delay.sample_ns:
@@ -215,11 +215,11 @@ class SlowComputer:
             self._store_late_plan(plan, of_backup=True)
 
     def _store_late_plan(self, moves: Matrix, *, of_backup: bool) -> None:
-        """Store a plan (N_c, n_u) that arrives when the processor is free."""
+        """Store a plan (N_c, n_u) to be applied when the processor is free."""
         self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
     def remember(self, moves: Matrix) -> Vector:
-        """Take the usable plan (N_c, n_u) of this step; return Δu (n_u,)."""
+        """Store a usable plan (N_c, n_u) of this step; return the Δu (n_u,) to apply now."""
         if self._stopped:
             self._solver.reset()
             return self._move_without_answer()
@@ -230,30 +230,30 @@ class SlowComputer:
         return self._law.remember(moves)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) in a step without a usable answer of its own."""
+        """Return Δu (n_u,) in a step without a usable answer to its own QP."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
         if self._busy or self._in_place is None:
             return self._move_without_answer()
         self._plan = None
-        self._mark_backup()
+        self._record_backup_move()
         return self._law.remember(self._in_place)
 
-    def _mark_backup(self) -> None:
-        """Mark the move of this step as one of the backup."""
+    def _record_backup_move(self) -> None:
+        """Record that the backup's plan moves the ship in this step."""
         assert self._backup is not None, "a plan of its is at hand"
         self.acted = True
         self._backup.log.acted[self._k] = 1
 
     def reset(self) -> None:
-        """Reset the solver, unless it was not asked."""
+        """Reset the solver, unless no computation began in this step."""
         if not self._busy:
             self._solver.reset()
 
     def _move_without_answer(self) -> Vector:
-        """Return Δu (n_u,) of the plan that arrives now, or of the fallback."""
+        """Return Δu (n_u,) of the late plan that arrives now, or of the fallback."""
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
-            self._mark_backup()
+            self._record_backup_move()
         if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u

@@ -17,7 +17,7 @@ from types import FrameType
 import numpy as np
 
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES, AnswerLog
-from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status, is_plain, sanitise_answer
 from dpbench.solvers.contract import Workspace
@@ -33,22 +33,22 @@ _OWN = slice(PHASES.index(SOLVER_PHASES[0]), PHASES.index(SOLVER_PHASES[-1]) + 1
 
 
 class StepTimeLimitError(TimeoutError):
-    """A step that ran beyond its limit was interrupted."""
+    """Raised in a solver's call that ran beyond the time limit of a step."""
 
 
 def is_usable(solution: Solution) -> bool:
-    """Return whether a closed loop can apply an answer: by its status, and all of z is finite."""
+    """Return whether a closed loop can apply an answer: by its status, and if z is finite."""
     return solution.status.is_usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:
-    """Formulation, phases and failures of one workspace.
+    """Timer of one solver's phases, which also turns its failures into answers.
 
     After `answer`, `phases_ns` holds set-up, update, solve and read of that step, −1 for none;
     `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
     """
 
-    def __init__(self, workspace: Workspace, formulated: Box, clock: Clock) -> None:
+    def __init__(self, workspace: Workspace, formulated: BoxFormulation, clock: Clock) -> None:
         self._workspace, self._formulated, self._clock = workspace, formulated, clock
         # Nothing the solver gets is what it is judged against, nor what a later step is made of.
         self._whole, self._given = formulated.base, formulated.base.copy()
@@ -57,7 +57,7 @@ class TimedSolver:
         # n and m of the QP in that formulation.
         self.size = formulated.base.n, formulated.base.m
         self.phases_ns = (-1, -1, -1, -1)
-        self.waited_ns, self._run_delay = 0, run_delay()
+        self.waited_ns, self._run_delay = 0, get_run_delay()
         self.details: dict[str, int] = {}
         # Set by the alarm, whatever became of what it raised.
         self.interrupted = ""
@@ -66,11 +66,11 @@ class TimedSolver:
 
     @property
     def matrix_updates(self) -> int:
-        """Updates so far with which the workspace took over new matrices."""
+        """Number of updates so far in which the workspace took new matrices."""
         return self._workspace.matrix_updates
 
     def prepare(self) -> int:
-        """Set up before the first step; return the time [ns], −1 if each step does it."""
+        """Set up the workspace before the loop; return the time [ns], −1 if each step does."""
         if self._workspace.setup_every_step:
             return -1
         started = self._clock()
@@ -78,7 +78,7 @@ class TimedSolver:
         return self._clock() - started
 
     def warm_up(self, times: int) -> None:
-        """Solve the problem of the set-up so often, and forget it."""
+        """Solve the set-up problem some times without a record, then reset."""
         base = self._formulated.base
         for _ in range(times):
             self.answer(QPStep(base.q, base.l, base.u).copy())
@@ -86,7 +86,7 @@ class TimedSolver:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the condensed QP.
+        """Solve one step and return the answer to its condensed QP.
 
         No failure of a solver is raised, except MemoryError; a malformed answer has the status
         ERROR.
@@ -131,7 +131,7 @@ class TimedSolver:
         return formulated.solution(solution)
 
     def _restore_problem(self) -> QuadraticProgram:
-        """Return the problem handed over last, as it was before a solver wrote to it."""
+        """Return the solver's copy of the problem, with what the solver overwrote restored."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
             self._given = self._whole.copy()
@@ -143,21 +143,21 @@ class TimedSolver:
         return given
 
     def reset(self) -> None:
-        """Make the workspace forget an unusable answer.
+        """Make the workspace forget an unusable answer, such as a bad warm start.
 
         After an interrupt, which may have left anything, it is set up anew.
         """
         if self.interrupted:
             self.interrupted = ""
-            self.renew()
+            self.set_up_again()
             return
         try:
             self._workspace.reset()
         except Exception as error:
             self._count_detail(f"reset: {type(error).__name__}: {error}")
 
-    def renew(self) -> None:
-        """Set the workspace up from nothing, with the matrices that hold now."""
+    def set_up_again(self) -> None:
+        """Set the workspace up from nothing, with the current matrices."""
         if self._workspace.setup_every_step:
             return
         try:
@@ -166,10 +166,11 @@ class TimedSolver:
             self._count_detail(f"setup: {type(error).__name__}: {error}")
 
     def _count_detail(self, detail: str) -> None:
+        """Count a failure message, for the outcome of the cell."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
-    def missing(self, limit_ns: int) -> Solution:
-        """Return the answer to a step in which an earlier process hung and was killed."""
+    def answer_hung_step(self, limit_ns: int) -> Solution:
+        """Return the missing answer to a step in which an earlier process hung and was killed."""
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
         answer = Solution.missing(n, m, Status.TIME_LIMIT, HANG_DETAIL)
@@ -178,7 +179,7 @@ class TimedSolver:
 
 
 def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns: int) -> None:
-    """Copy an answer into row (r, k) of the log, with the wait for the core in it [ns]."""
+    """Write an answer and its wait for the core [ns] to round r, step k of a raw log."""
     log.waited_ns[r, k] = waited_ns
     log.status[r, k] = solution.status
     log.iterations[r, k] = solution.iterations
@@ -189,7 +190,7 @@ def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns:
 
 
 class ResumedSolver(TimedSolver):
-    """Repeats the answers of a loop up to the step in which its process hung, then solves.
+    """A timed solver that repeats recorded answers up to the step in which its process hung.
 
     The loop around it is deterministic, so the ship comes to the very state that it had.
 
@@ -202,7 +203,7 @@ class ResumedSolver(TimedSolver):
     def __init__(
         self,
         workspace: Workspace,
-        formulated: Box,
+        formulated: BoxFormulation,
         clock: Clock,
         *,
         answers: AnswerLog,
@@ -216,17 +217,17 @@ class ResumedSolver(TimedSolver):
 
     @property
     def matrix_updates(self) -> int:
-        """Updates in the earlier process and in this one."""
+        """Number of matrix updates in the earlier process and in this one."""
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:
-        """Return the recorded answer up to the step that hung, then the solver's own."""
+        """Return the recorded answer up to the step that hung, the solver's own after it."""
         k, answers = self._next_step(), self._answers
         self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
-            self.renew()
+            self.set_up_again()
             if self._skips:
-                return self.missing(self._limit_ns)
+                return self.answer_hung_step(self._limit_ns)
         if k >= self._at:
             return super().answer(step)
         setup, update, solve, read = answers.times[0, k, _OWN].tolist()
@@ -242,27 +243,27 @@ class ResumedSolver(TimedSolver):
         )
 
     def _next_step(self) -> int:
-        """Return the step that is answered now: a slow computer skips some."""
+        """Return the index of the step to answer, beyond those a slow computer skipped."""
         self._k += 1
         while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
             self._k += 1
         return self._k
 
     def warm_up(self, times: int) -> None:
-        """Warm up the solver itself."""
+        """Solve the set-up problem some times with the solver itself, then reset."""
         at, self._at = self._at, -1
         super().warm_up(times)
         self._at, self._k = at, -1
 
     def reset(self) -> None:
-        """Reset the solver, after answers of its own."""
+        """Reset the solver where the last answer was its own, not a recorded one."""
         if self._k > self._at or (self._k == self._at and not self._skips):
             super().reset()
 
 
 @contextmanager
 def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
-    """Raise `StepTimeLimitError` in a call of a workspace that takes longer than `limit_s` [s].
+    """Raise `StepTimeLimitError` in a workspace call that takes longer than `limit_s` [s].
 
     It reaches what runs Python. No alarm goes off in a run that ends before; a step that began
     since the last alarm goes on.
@@ -296,7 +297,7 @@ UNKNOWN = -1
 
 
 class RunDelay:
-    """Time that the thread making it was ready while the machine ran something else on its core.
+    """Meter of how long a thread was ready to run while its core ran something else.
 
     The kernel's scheduler sums it up: the second number of `schedstat` in proc(5). Sleep, and
     waiting for another thread, do not count.
@@ -308,9 +309,10 @@ class RunDelay:
         except OSError:
             # A kernel or a container that does not show it.
             self._file = -1
-        self._before_ns = self._now_ns()
+        self._before_ns = self._read_total_ns()
 
-    def _now_ns(self) -> int:
+    def _read_total_ns(self) -> int:
+        """Return the thread's total run delay so far [ns]; `UNKNOWN` where the kernel hides it."""
         if self._file < 0:
             return UNKNOWN
         try:
@@ -320,18 +322,19 @@ class RunDelay:
             return UNKNOWN
 
     def since_last(self) -> int:
-        """Return the run delay since the last call, or the start [ns]; −1 if unknown."""
-        before_ns, now_ns = self._before_ns, self._now_ns()
+        """Return the run delay since the last call, or since the start [ns]; −1 if unknown."""
+        before_ns, now_ns = self._before_ns, self._read_total_ns()
         self._before_ns = now_ns
         return now_ns - before_ns if now_ns != UNKNOWN else UNKNOWN
 
 
 @cache
-def _thread_run_delay(thread: int) -> RunDelay:
+def _cached_run_delay(thread: int) -> RunDelay:
+    """Return the run-delay meter of a thread, one object for each."""
     return RunDelay()
 
 
-def run_delay() -> RunDelay:
-    """Return the one run delay of the calling thread, which all its solvers share."""
+def get_run_delay() -> RunDelay:
+    """Return the run-delay meter of the calling thread, shared by all its solvers."""
     # The identifier of a forked child is its own, so that it opens a file of its own.
-    return _thread_run_delay(threading.get_native_id())
+    return _cached_run_delay(threading.get_native_id())

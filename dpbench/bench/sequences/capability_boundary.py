@@ -12,8 +12,8 @@ from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel
 
 
-def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
-    """Write the capability of a ship and the QPs at its edge, certified, to one file."""
+def write_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
+    """Write a ship's capability plot and its certified QPs to one file."""
     frontier = CapabilityPlot(vessel, sides)
     capability = compute_capability(frontier)
     points = all_points(frontier, capability)
@@ -22,7 +22,7 @@ def make_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) 
 
 
 def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
-    """Return the plot that `make_capability_boundary` wrote; None where it is gone."""
+    """Return the capability plot in a file of certified QPs; None where it is gone."""
     try:
         table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
     except InputError:
@@ -30,17 +30,8 @@ def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
     return table
 
 
-def write_batch(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
-    """Write the QPs at the edge of a capability, certified, and a suite that replays them.
-
-    Parameters
-    ----------
-    frontier : with polygons; capability : of it.
-
-    Returns
-    -------
-    The suite's file, beside `capability.npz`; it solves each QP once with default settings.
-    """
+def write_capability_suite(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
+    """Write a capability plot's certified QPs and a suite that replays them; return its path."""
     points = all_points(frontier, capability)
     folder.mkdir(parents=True, exist_ok=True)
     save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))

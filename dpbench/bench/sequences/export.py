@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import recording
-from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, steps_with_optimum
+from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, save_qpbenchmark
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.referee.referee import certify_sequence
@@ -29,7 +29,7 @@ def export(
     at: int | None = None,
     part: Part = "controller",
 ) -> str:
-    """Write the QPs of a scenario or a sequence to `out`, every one certified; return a line on it.
+    """Write the certified QPs of a scenario or a sequence to a file; return a line on it.
 
     Parameters
     ----------
@@ -53,21 +53,21 @@ def export(
         raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
     if part not in get_args(Part):
         raise InputError("--part", "", repr(part), " | ".join(get_args(Part)))
-    recorded = _record_source(what, _read_horizons(horizons), steps, every, at, part)
+    recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         recorded.save(target)
         written = str(target)
     else:
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
-    left_out = len(recorded.optima or []) - len(steps_with_optimum(recorded))
+    left_out = len(recorded.optima or []) - len(list_steps_with_optimum(recorded))
     without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
     about = recording.describe_sequence(recorded.sequence, recorded.optima or [])
     return f"{written}: {about}{without}"
 
 
 def check_export_options(options: dict[str, Any]) -> None:
-    """Check that --all comes alone, or WHAT with --out; InputError for anything else."""
+    """Raise InputError unless --all comes alone, or WHAT with --out."""
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
             raise SituationError("export", "name WHAT and its file by --out, or give --all")
@@ -79,7 +79,7 @@ def check_export_options(options: dict[str, Any]) -> None:
             raise InputError("export", "", found, "--all, which follows its manifest, and --out")
 
 
-def _record_source(
+def _record_requested(
     what: str | Path,
     horizons: tuple[int, int] | None,
     steps: int | None,
@@ -87,18 +87,19 @@ def _record_source(
     at: int | None,
     part: Part,
 ) -> Recorded:
+    """Return the requested QPs of a scenario or a stored sequence, with certified optima."""
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
         scenario = load_scenario(what)
         if at is None:
-            return recording.record(
+            return recording.record_scenario(
                 scenario, horizons=horizons, steps=steps, every=every, part=part
             )
         # The loop up to there is what leads to the step; what follows is not needed.
         upto = at + 1 if 0 <= at < scenario.steps else None
         return _record_step(
-            recording.record(scenario, horizons=horizons, steps=upto, part=part), at
+            recording.record_scenario(scenario, horizons=horizons, steps=upto, part=part), at
         )
     if part != "controller":
         allowed = "a scenario: a sequence holds the QPs it holds"
@@ -115,12 +116,13 @@ def _record_source(
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
-    """Return step k alone, certified."""
+    """Return step k of a recorded sequence alone, with its certified optimum."""
     sequence = recording.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 
 
-def _read_horizons(text: str | None) -> Horizons | None:
+def _parse_horizons(text: str | None) -> Horizons | None:
+    """Return the horizons in the text "N_p/N_c", None for None; InputError for other texts."""
     if text is None:
         return None
     try:

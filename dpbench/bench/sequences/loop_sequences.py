@@ -35,8 +35,8 @@ AVERAGE_S = 60.0
 """Time constant of the mean of the force [s]."""
 
 
-def commanded_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
-    """Return the commanded thrusters and their limits; InputError without any."""
+def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
+    """Return a scenario's commanded thrusters and their limit rows; InputError without any."""
     commanded = scenario.controller.commanded
     if commanded is None:
         where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'
@@ -44,8 +44,8 @@ def commanded_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRo
     return commanded.thrusters, commanded.rows
 
 
-def required_force(tau: Matrix, sample_s: float) -> Matrix:
-    """Return the mean τ̄ (K, 3) of forces (K, 3) [N, N, N·m] over `AVERAGE_S`."""
+def average_force(tau: Matrix, sample_s: float) -> Matrix:
+    """Return the running mean τ̄ (K, 3) of forces (K, 3) [N, N, N·m] over `AVERAGE_S`."""
     # A campaign starts half a second sooner without: it brings scipy.stats along.
     from scipy.signal import lfilter
 
@@ -54,20 +54,15 @@ def required_force(tau: Matrix, sample_s: float) -> Matrix:
     return mean
 
 
-def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSequence:
-    """Return the QPs of a failure group's loss along a run.
-
-    Parameters
-    ----------
-    scenario : commands thrusters; tau : (K, 3) the force of its run [N, N, N·m].
-    """
-    thrusters, rows = commanded_thruster_rows(scenario)
+def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSequence:
+    """Return the QPs that ask whether a force tau (K, 3) can be made without a failure group."""
+    thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
     least, most, _ = rows.without(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)
-    l, u = allocation.limits(required_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program
+    l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program
     base = allocation.problem(l[0], u[0])
     meta: dict[str, str | float | int]
     meta = {"scenario": scenario.name, "group": group, "sample_s": scenario.sample_s}
@@ -75,7 +70,7 @@ def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSeque
     return QPSequence(name, base, np.zeros((len(tau), base.n)), l, u, meta=meta)
 
 
-def active_limits(optima: Sequence[Optimum]) -> Ints:
+def find_active_limits(optima: Sequence[Optimum]) -> Ints:
     """Return the limits (K, m + n) at each optimum: 1 upper, −1 lower, 0 inactive or none."""
     multipliers = np.array([np.concatenate((o.y, o.y_box)) for o in optima])
     active = np.abs(multipliers) > ACTIVE_MULTIPLIER
@@ -84,19 +79,19 @@ def active_limits(optima: Sequence[Optimum]) -> Ints:
 
 
 def has_optimum(optima: Sequence[Optimum]) -> Flags:
-    """Return whether each step (K,) has a certified optimum."""
+    """Return a mask (K,) of the steps with a certified optimum."""
     finite: Flags = np.isfinite([optimum.bound for optimum in optima])
     return finite
 
 
-def hardness(active: Ints, feasible: Flags) -> Floats:
-    """Return the hardness (K,) of each step: active limits plus their changes since the last step.
+def measure_hardness(active: Ints, feasible: Flags) -> Floats:
+    """Return each step's hardness (K,): active limits plus their changes since the last step.
 
     A step without an optimum is harder by 1 than the hardest of all others.
 
     Parameters
     ----------
-    active : (K, m + n) as of `active_limits`; feasible : (K,) whether a step has an optimum.
+    active : (K, m + n) as of `find_active_limits`; feasible : (K,) whether a step has an optimum.
     """
     before = np.vstack((np.zeros_like(active[:1]), active[:-1]))
     hard: Floats = (active != 0).sum(axis=1) + (active != before).sum(axis=1) + 0.0
@@ -104,10 +99,10 @@ def hardness(active: Ints, feasible: Flags) -> Floats:
     return hard
 
 
-def hardest_window(hard: Floats, steps: int) -> int:
-    """Return the first step of the window of `steps` steps that contains the hardest step.
+def find_window_start(hard: Floats, steps: int) -> int:
+    """Return the first step of the window of `steps` steps around the hardest step.
 
-    Of these windows it has the largest sum of hardness; of equals the earliest.
+    Of all windows with that step, it has the largest sum of hardness; of equals the earliest.
     """
     sums = sliding_window_view(hard, steps).sum(axis=1)
     at = int(np.argmax(hard))
@@ -118,5 +113,5 @@ def hardest_window(hard: Floats, steps: int) -> int:
 def find_hardest_window(optima: Sequence[Optimum], first: int, of: int, steps: int) -> int:
     """Return the first of the hardest `steps` steps within `first` to `first + of`."""
     optima = optima[: first + of]
-    hard = hardness(active_limits(optima), has_optimum(optima))
-    return first + hardest_window(hard[first:], steps)
+    hard = measure_hardness(find_active_limits(optima), has_optimum(optima))
+    return first + find_window_start(hard[first:], steps)

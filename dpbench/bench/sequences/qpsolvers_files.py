@@ -26,21 +26,22 @@ SYMMETRIC = 1e-10
 solvers read one triangle and some the whole."""
 
 
-def natural_order(folder: Path) -> list[Path]:
-    """Return the `.npz` files of a folder in natural order; InputError when there are none."""
+def list_problem_files(folder: Path) -> list[Path]:
+    """Return the `.npz` files of a folder in natural order; InputError without any."""
     files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
     if not files:
         raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {WHAT}")
-    return sorted(files, key=lambda path: (_name_parts(path.stem), path.name))
+    return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 
-def _name_parts(text: str) -> list[tuple[int, int, str]]:
+def _natural_sort_key(text: str) -> list[tuple[int, int, str]]:
+    """Return a file name's sort key, in which numbers count by value."""
     parts = re.split(r"([0-9]+)", text)
     return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
 
 
-def is_problem(path: Path) -> bool:
-    """Return whether a file has the arrays of one problem, and no format of its own."""
+def is_problem_file(path: Path) -> bool:
+    """Return whether a file has the arrays of a qpsolvers problem, not of a dpbench format."""
     try:
         with open_regular_file(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
@@ -49,9 +50,9 @@ def is_problem(path: Path) -> bool:
     return bool(names & {"P", "q"}) and "format" not in names
 
 
-def read_folder(place: Path) -> QPSequence:
-    """Return the problems of a folder, or of one file; InputError for a bad file."""
-    files = natural_order(place) if place.is_dir() else [place]
+def read_problems(place: Path) -> QPSequence:
+    """Return the qpsolvers problems of a folder, or of one file, as a sequence."""
+    files = list_problem_files(place) if place.is_dir() else [place]
     problems = [read_problem(path) for path in files]
     base = problems[0]
     for path, qp in zip(files, problems, strict=True):
@@ -73,7 +74,7 @@ def read_folder(place: Path) -> QPSequence:
 
 
 def read_problem(path: Path) -> QuadraticProgram:
-    """Return one problem in two-sided form; InputError for a bad file."""
+    """Return the QP of a qpsolvers problem file in two-sided form; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(path, WHAT)
     for name, packed in objects.items():
@@ -110,7 +111,7 @@ def read_problem(path: Path) -> QuadraticProgram:
 def _read_rows(
     arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
 ) -> tuple[Vector, Vector]:
-    """Return a matrix of rows and its right-hand side; no rows where both are absent."""
+    """Return a constraint matrix and its right-hand side; no rows where both are absent."""
     matrix, vector = names
     present = [name for name in names if name in arrays]
     if not present:

@@ -11,9 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.exact_loop import Part, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
+from dpbench.bench.sequences.qpsolvers_files import (
+    is_problem_file,
+    list_problem_files,
+    read_problems,
+)
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
@@ -25,7 +29,7 @@ from dpbench.scenario.scenario import Scenario, build_scenario
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
 
-def record(
+def record_scenario(
     scenario: Scenario,
     *,
     horizons: tuple[int, int] | None = None,
@@ -33,7 +37,7 @@ def record(
     every: int = 1,
     part: Part = "controller",
 ) -> Recorded:
-    """Return the QPs along the exactly solved loop of a scenario, in scaled units, all certified.
+    """Solve a scenario's loop exactly and return its QPs in scaled units, all certified.
 
     Parameters
     ----------
@@ -52,7 +56,7 @@ def record(
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
-    sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
+    sequence = rebuild_sequence(scenario, solve_exactly(scenario), part=part)
     meta = sequence.meta | scenario.problem.horizons
     sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")
@@ -63,7 +67,7 @@ def record(
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
-    """Return a scenario under other horizons, its documents and name included."""
+    """Return a scenario with other prediction and control horizons, also in its name."""
     files = copy.deepcopy(scenario.files)
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
@@ -72,7 +76,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
-    """Return of the first `steps` steps (None: all) the first and each `every`-th after it."""
+    """Return the first and each `every`-th later one of the first `steps` QPs (None: all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
         raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
     if every < 1:
@@ -85,7 +89,7 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
 
 
 def select_step(sequence: QPSequence, k: int) -> QPSequence:
-    """Return step k of a sequence as a sequence of one."""
+    """Return step k of a sequence as a sequence of one QP."""
     if not 0 <= k < len(sequence):
         raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
@@ -93,7 +97,7 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 
 
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
-    """Return some of the steps of a sequence under another name."""
+    """Return some steps of a sequence, under another name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(
@@ -110,7 +114,7 @@ def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, 
 
 
 def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
-    """Describe a sequence and the certificates of its optima in half a line."""
+    """Return a half line of text with a sequence's length, size and certificates."""
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
     proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
@@ -120,19 +124,19 @@ def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
 
 
 def read_sequence(path: Path) -> Recorded:
-    """Return our own `.npz`, or problems by qpsolvers, which come without optima."""
-    if path.is_dir() or is_problem(path):
-        return Recorded(read_folder(path), None)
+    """Return the sequence in dpbench's `.npz`, or in qpsolvers problems, which have no optima."""
+    if path.is_dir() or is_problem_file(path):
+        return Recorded(read_problems(path), None)
     if not path.is_file():
         raise InputError(str(path), "", "no such file or folder", WHAT)
     return load_recorded(path)
 
 
-def source_digest(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the files that `read_sequence` reads of a folder."""
+def hash_sequence_files(path: Path) -> str:
+    """Return the SHA-256 of a sequence file, or of all problem files in a folder."""
     total = hashlib.sha256()
     try:
-        for file in natural_order(path) if path.is_dir() else [path]:
+        for file in list_problem_files(path) if path.is_dir() else [path]:
             with open_regular_file(file, WHAT) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())

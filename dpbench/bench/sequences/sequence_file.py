@@ -58,7 +58,7 @@ _TEXTS = ("format", "name", "meta", "documents")
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A sequence in scaled units with its certified optima, None where it is not certified yet.
+    """A sequence of QPs in scaled units with its certified optima, None if not certified yet.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Recorded:
     documents: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write all of it; see `save_sequence`."""
+        """Write the sequence, optima, units and documents to a `.npz` file."""
         save_sequence(path, self.sequence, self.optima, units=self.units, documents=self.documents)
 
 
@@ -84,7 +84,7 @@ def save_sequence(
     units: Units | None = None,
     documents: dict[str, Any] | None = None,
 ) -> None:
-    """Write a sequence with its optima to `path`; the same input gives the same bytes.
+    """Write a sequence and its optima to a `.npz` file, with reproducible bytes.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
 
 
 def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
-    """Return the QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
+    """Return the QPs of a stored sequence, in scaled or in SI units.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
 
 def load_recorded(path: str | Path) -> Recorded:
-    """Return all that `save_sequence` wrote; InputError for a bad file."""
+    """Return the sequence in a file of `save_sequence`; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
@@ -185,6 +185,7 @@ def load_recorded(path: str | Path) -> Recorded:
 def _read_sequence(
     arrays: Arrays, where: str, sizes: tuple[int, int, int], name: str, meta: dict[str, Any]
 ) -> QPSequence:
+    """Return the QPs from the arrays of a sequence file, after checking types and shapes."""
     K, n, m = sizes
     shapes = {"P": (n, n), "A": (m, n), "lb": (n,), "ub": (n,), "q": (K, n), "l": (K, m)}
     shapes["u"] = (K, m)
@@ -209,6 +210,7 @@ def _read_sequence(
 
 
 def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+    """Return the certified optima from the arrays of a sequence file, after checking them."""
     K, n, m = sizes
     shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
     columns: list[Any] = [
@@ -229,6 +231,7 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
 
 
 def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+    """Return the array `name`; InputError unless it is a matrix of at least one column."""
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
@@ -239,6 +242,7 @@ def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
 
 
 def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Return the JSON object in the text `name` of a sequence file; InputError without one."""
     try:
         document = parse_json(texts[name])
     except ValueError as error:
@@ -249,7 +253,7 @@ def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, An
 
 
 def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
-    """Return the facts about a sequence; those the replay counts with are checked."""
+    """Return a sequence's metadata, after checking the numbers that a replay depends on."""
     meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)

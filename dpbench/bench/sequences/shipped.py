@@ -9,7 +9,7 @@ from pydantic import Field
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.run.exact_loop import Part
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
@@ -20,7 +20,7 @@ Positive = Annotated[int, Field(ge=1)]
 
 
 class HorizonsTable(FileModel):
-    """Horizons at which scenarios are recorded, and how the loop is thinned there."""
+    """A pair of horizons to record scenarios at, and how the recording is thinned."""
 
     prediction: Horizon
     control: Horizon
@@ -28,7 +28,7 @@ class HorizonsTable(FileModel):
 
 
 class AllocationTable(FileModel):
-    """A cascade whose second QPs are recorded too, under its own horizons."""
+    """A cascade whose allocation QPs are recorded, with length and thinning."""
 
     scenario: str
     steps: Positive
@@ -36,14 +36,14 @@ class AllocationTable(FileModel):
 
 
 class LeftOutTable(FileModel):
-    """Sequences that the rule would have and the package does not, and why."""
+    """Sequences that the manifest's rules give but the package leaves out, and why."""
 
     sequences: Annotated[list[str], Field(min_length=1)]
     reason: str
 
 
 class ManifestFile(FileModel):
-    """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out."""
+    """Content of `problems/sequences/manifest.toml`: scenarios × horizons, less those left out."""
 
     title: str
     horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
@@ -53,8 +53,8 @@ class ManifestFile(FileModel):
 
 
 @dataclass(frozen=True)
-class Rule:
-    """Recording of each `every`-th of the first `steps` samples of a loop; see `record`."""
+class RecordingRule:
+    """Rule to record one shipped sequence: scenario, horizons, steps and thinning."""
 
     scenario: str
     N_p: int
@@ -75,16 +75,18 @@ class Rule:
         # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
         steps = steps or self.steps
-        return record(scenario, horizons=horizons, steps=steps, every=self.every, part=self.part)
+        return record_scenario(
+            scenario, horizons=horizons, steps=steps, every=self.every, part=self.part
+        )
 
 
 def manifest_path() -> Path:
-    """Return the path of the shipped manifest."""
+    """Return the path of the manifest of shipped sequences."""
     return problems_root() / SEQUENCES / "manifest.toml"
 
 
-def stored_rules(path: Path | None = None) -> list[Rule]:
-    """Return the rules of a manifest (None: the shipped one), in order; InputError if bad."""
+def load_rules(path: Path | None = None) -> list[RecordingRule]:
+    """Return the recording rules of a manifest (None: the shipped one); InputError if bad."""
     place = path or manifest_path()
     manifest = read_model(place, ManifestFile)
     rules = {rule.name: rule for rule in _expand_rules(manifest)}
@@ -96,25 +98,26 @@ def stored_rules(path: Path | None = None) -> list[Rule]:
     return list(rules.values())
 
 
-def _expand_rules(manifest: ManifestFile) -> Iterator[Rule]:
+def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
+    """Yield a recording rule for each scenario and horizons of a manifest, and each cascade."""
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
-            yield Rule(scenario, table.prediction, table.control, steps, table.every)
+            yield RecordingRule(scenario, table.prediction, table.control, steps, table.every)
     for cascade in manifest.allocations:
         own = load_scenario(cascade.scenario).problem
         of_loop = own.N_p, own.N_c, cascade.steps, cascade.every
-        yield Rule(cascade.scenario, *of_loop, "allocation")
+        yield RecordingRule(cascade.scenario, *of_loop, "allocation")
 
 
-def regenerate(
-    out: str | Path, rules: Sequence[Rule] | None = None, progress: Progress | None = None
+def record_shipped_sequences(
+    out: str | Path, rules: Sequence[RecordingRule] | None = None, progress: Progress | None = None
 ) -> str:
-    """Record stored sequences again into the folder `out`; return one line on them.
+    """Record the shipped sequences again into a folder; return one line on them.
 
     The same machine and versions write the same bytes; others the same shapes and active sets, and
     values to rounding. CertificateError when a step cannot be certified.
     """
-    wanted, folder, shown = list(rules or stored_rules()), Path(out), progress or Silent()
+    wanted, folder, shown = list(rules or load_rules()), Path(out), progress or Silent()
     folder.mkdir(parents=True, exist_ok=True)
     shown.start(sum(rule.steps for rule in wanted))
     size = 0

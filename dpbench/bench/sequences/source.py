@@ -22,14 +22,19 @@ from dpbench.bench.record.cell import (
 )
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
-from dpbench.bench.run.exact_loop import ExactLoop, allocation_sizes, sequence_of, solve_exactly
-from dpbench.bench.sequences.capability_boundary import make_capability_boundary
-from dpbench.bench.sequences.loop_sequences import (
-    commanded_thruster_rows,
-    consequence_sequence,
-    find_hardest_window,
+from dpbench.bench.run.exact_loop import (
+    ExactLoop,
+    read_allocation_sizes,
+    rebuild_sequence,
+    solve_exactly,
 )
-from dpbench.bench.sequences.recording import read_sequence, source_digest
+from dpbench.bench.sequences.capability_boundary import write_capability_boundary
+from dpbench.bench.sequences.loop_sequences import (
+    build_consequence_sequence,
+    find_hardest_window,
+    select_thruster_rows,
+)
+from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
@@ -43,7 +48,7 @@ from dpbench.ship.layout import AXES
 
 @dataclass(frozen=True, eq=False)
 class ReplayInput:
-    """The QPs of a replay, the time between them [s], and their optima if known."""
+    """The QPs of a replay, the time between them [s], and their certified optima if known."""
 
     sequence: QPSequence
     sample_s: float
@@ -54,7 +59,7 @@ _latest: dict[tuple[str, Path], ReplayInput] = {}
 
 
 def read_replay(cell: Cell, path: Path) -> ReplayInput:
-    """Return the certified QPs of a replay, read once for all cells in a row that share them."""
+    """Return the certified QPs of a replay cell; the latest are kept for the next cells."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
@@ -64,7 +69,7 @@ def read_replay(cell: Cell, path: Path) -> ReplayInput:
 
 
 def is_readable(cell: Cell, path: Path) -> bool:
-    """Return whether the file behind a cell's QPs can be read to its end."""
+    """Return whether the source file behind a cell's QPs can be read to its end."""
     try:
         source_file(cell).check(path)
     except InputError:
@@ -73,12 +78,12 @@ def is_readable(cell: Cell, path: Path) -> bool:
 
 
 def log_size(cell: Cell, path: Path) -> int:
-    """Return the size of a cell's raw log [B]; ResultsError without the file of its QPs."""
+    """Return the size of a cell's raw log [B]; ResultsError where its source file is missing."""
     with open_arrays(path) as stored:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
-            second = allocation_sizes(stored)
+            second = read_allocation_sizes(stored)
             return log_bytes(
                 loop_layout(cell.steps, n, m, n_theta, n_f, second, backup=bool(cell.backup))
             )
@@ -86,42 +91,49 @@ def log_size(cell: Cell, path: Path) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class _Loop:
-    """The QPs along the first steps of the exactly solved loop of a scenario."""
+class _LoopFile:
+    """Source file with the exactly solved loop of a scenario, from which its QPs are rebuilt."""
 
     cell: Cell
 
     def make(self, path: Path) -> None:
+        """Solve the cell's scenario exactly and write the loop to `path`."""
         solve_exactly(cached_scenario(self.cell.scenario).first(self.cell.last_step)).save(path)
 
     def load(self, path: Path) -> ReplayInput:
+        """Return the cell's QPs along the loop in the file, with their optima."""
         cell = self.cell
         scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
         first = cell.first
         if cell.is_window:
             first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
-        sequence = sequence_of(scenario, exact, units=cell.units, first=first, count=cell.steps)
+        sequence = rebuild_sequence(
+            scenario, exact, units=cell.units, first=first, count=cell.steps
+        )
         optima = exact.optima[first : first + cell.steps]
         return ReplayInput(sequence, scenario.sample_s, optima)
 
     def check(self, path: Path) -> None:
+        """Read the whole file; ResultsError where it is damaged or has too few steps."""
         stored, needed = len(ExactLoop.load(path).theta), self.cell.last_step
         if stored < needed:
             raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        """Return n and m of the cell's QPs from the arrays of the file."""
         return stored["z"].shape[1], stored["optimum_y"].shape[1]
 
 
 @dataclass(frozen=True, eq=False)
-class _Consequence(_Loop):
-    """The loss of a failure group, at each sample of that loop."""
+class _ConsequenceFile(_LoopFile):
+    """Source file with an exactly solved loop, for the consequence analysis of a failure group."""
 
     source: ConsequenceSource
 
     def load(self, path: Path) -> ReplayInput:
+        """Return the consequence-analysis QPs of the cell's failure group, without optima."""
         cell, scenario = self.cell, cached_scenario(self.cell.scenario)
-        whole = consequence_sequence(scenario, ExactLoop.load(path).tau, self.source.group)
+        whole = build_consequence_sequence(scenario, ExactLoop.load(path).tau, self.source.group)
         last = cell.first + cell.steps
         sequence = replace(
             whole,
@@ -133,58 +145,65 @@ class _Consequence(_Loop):
         return ReplayInput(sequence, scenario.sample_s, None)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        thrusters, rows = commanded_thruster_rows(cached_scenario(self.cell.scenario))
+        """Return n and m of the consequence-analysis QPs."""
+        thrusters, rows = select_thruster_rows(cached_scenario(self.cell.scenario))
         return thrusters.n_f, AXES + len(rows.low)
 
 
-class _Stored:
-    """A sequence with its optima in a file of our own."""
+class _SequenceFile:
+    """Source file with a sequence of QPs and its certified optima."""
 
     def load(self, path: Path) -> ReplayInput:
+        """Return the sequence in the file, with its optima and sample time."""
         recorded = load_recorded(path)
         # Random QPs, and some that others recorded, follow each other by no known time.
         sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
         return ReplayInput(recorded.sequence, sample_s, recorded.optima)
 
     def check(self, path: Path) -> None:
+        """Read the whole file; InputError where it is damaged."""
         load_recorded(path)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+        """Return n and m of the QPs from the arrays of the file."""
         return stored["q"].shape[1], stored["A"].shape[0]
 
 
 @dataclass(frozen=True, eq=False)
-class _Random(_Stored):
-    """A random sequence, certified once, as some optima take a second each."""
+class _RandomFile(_SequenceFile):
+    """Source file with a random sequence, certified once when it is made."""
 
     source: RandomSource
 
     def make(self, path: Path) -> None:
+        """Generate and certify the random sequence and write it to `path`."""
         sequence = random_sequence(self.source.recipe)
         save_sequence(path, sequence, certify_sequence(sequence))
 
 
 @dataclass(frozen=True, eq=False)
-class _Capability(_Stored):
-    """The QPs at the capability boundary, with the plot in the same file."""
+class _CapabilityFile(_SequenceFile):
+    """Source file with a ship's capability plot and its certified QPs."""
 
     source: CapabilitySource
 
     def make(self, path: Path) -> None:
+        """Compute a ship's wind limits and write the plot and its QPs to `path`."""
         source = self.source
         vessel = build_vessel({"vessel_name": source.vessel_name, "vessel": source.vessel})
-        make_capability_boundary(path, vessel, source.sides, source.name)
+        write_capability_boundary(path, vessel, source.sides, source.name)
 
 
 @dataclass(frozen=True, eq=False)
-class _Recorded(_Stored):
-    """A sequence from a file of others, whose optima are certified again."""
+class _RecordedFile(_SequenceFile):
+    """Source file with a sequence recorded by others, certified again."""
 
     source: RecordedSource
 
     def make(self, path: Path) -> None:
+        """Read the recorded sequence, check its SHA-256, certify it and write it to `path`."""
         origin = sequence_path(self.source.path)
-        actual, planned = source_digest(origin), self.source.sha256
+        actual, planned = hash_sequence_files(origin), self.source.sha256
         if actual != planned:
             allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"
             raise InputError(str(origin), "", f"SHA-256 {actual[:12]}…", allowed)
@@ -192,7 +211,7 @@ class _Recorded(_Stored):
         save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
 
 
-SourceFile = _Loop | _Random | _Capability | _Recorded
+SourceFile = _LoopFile | _RandomFile | _CapabilityFile | _RecordedFile
 """The file behind the replays of one problem.
 
 `make` writes it, which may take long (CertificateError when it cannot be done), `load` returns the
@@ -202,17 +221,17 @@ QPs of the cell, `check` reads all of it (ResultsError or InputError where it is
 
 
 def source_file(cell: Cell) -> SourceFile:
-    """Return the file behind a cell's QPs."""
+    """Return the source file that a cell's QPs are made from, by the kind of its source."""
     match cell.source:
         case ControllerSource() | HardestSource():
-            return _Loop(cell)
+            return _LoopFile(cell)
         case ConsequenceSource() as source:
-            return _Consequence(cell, source)
+            return _ConsequenceFile(cell, source)
         case RandomSource() as source:
-            return _Random(source)
+            return _RandomFile(source)
         case CapabilitySource() as source:
-            return _Capability(source)
+            return _CapabilityFile(source)
         case RecordedSource() as source:
-            return _Recorded(source)
+            return _RecordedFile(source)
         case QPSource() as source:
             raise TypeError(f"no file is made of {source}")

@@ -24,7 +24,7 @@ WITHOUT_OPTIMUM = ("infeasible", "undecided")
 
 
 def verify_sequence(path: Path, progress: Progress | None = None) -> str:
-    """Certify every step of a sequence, or of problems by qpsolvers; return one line on it.
+    """Certify every step of a sequence and compare the stored optima; return one line on it.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
     recorded = read_sequence(path)
     sequence, claims = recorded.sequence, recorded.optima
     if claims is not None:
-        _check_active(path, claims)
+        _check_active_sets(path, claims)
     shown.start(len(sequence))
     optima = []
     for k, optimum in enumerate(iterate_certified(sequence)):
@@ -46,8 +46,8 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
     return f"{where}: {describe_sequence(sequence, optima if claims is None else claims)}"
 
 
-def _check_active(path: Path, claims: list[Optimum]) -> None:
-    """Check that the stored active sets are those of the stored multipliers."""
+def _check_active_sets(path: Path, claims: list[Optimum]) -> None:
+    """Raise InputError where stored active sets differ from those of the stored multipliers."""
     stored = read_npz(path, WHAT)[0].get("active")
     wanted = np.array([active_set(optimum) for optimum in claims])
     if stored is None or stored.shape != wanted.shape or stored.dtype != np.int8:
@@ -60,7 +60,7 @@ def _check_active(path: Path, claims: list[Optimum]) -> None:
 
 
 def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimum: Optimum) -> None:
-    """Compare what is claimed of step k with what the referee finds."""
+    """Raise InputError where the stored optimum of step k differs from the certified one."""
     without = optimum.kind in WITHOUT_OPTIMUM
     if (claim.kind in WITHOUT_OPTIMUM) != without:
         raise InputError(where, f"certificate[{k}]", repr(claim.kind), repr(optimum.kind))
@@ -84,7 +84,7 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
 
 
 def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum) -> None:
-    """Check that stored multipliers, which need not be unique, prove the optimum."""
+    """Raise InputError where the stored multipliers of step k do not prove its optimum."""
     measured = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
     terms = (qp.P @ claim.z, qp.q, claim.y, claim.y_box)
     size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))

@@ -25,25 +25,22 @@ EVALUATION_LIMIT_S = 600.0
 
 
 class Item(Protocol):
-    """One of several things that a process does in turn."""
+    """Protocol of one thing that a worker process does, such as a cell or a file."""
 
     @property
     def name(self) -> str:
-        """Name of its verdict."""
+        """Name of the item's verdict file, without suffix."""
 
     @property
     def limit_s(self) -> float | None:
-        """Its longest run time; None for no limit."""
+        """Longest run time of the item [s]; None for no limit."""
 
 
 AnyItem = TypeVar("AnyItem", bound=Item)
 
 
 class _ItemProcess(Child, Generic[AnyItem]):
-    """One process that goes through items in order, each with a verdict of its own.
-
-    `alone` tells whether nothing else runs beside it.
-    """
+    """A worker process that handles several items in order, with a verdict file for each."""
 
     def __init__(
         self,
@@ -67,8 +64,8 @@ class _ItemProcess(Child, Generic[AnyItem]):
         )
         self.alone = alone
 
-    def _advance(self) -> None:
-        """Watch the first item without a verdict."""
+    def _advance_to_current(self) -> None:
+        """Move on to the first item that has no verdict file yet."""
         while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
@@ -78,30 +75,31 @@ class _ItemProcess(Child, Generic[AnyItem]):
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
                 self._running_since = None if self._logs else self._born
 
-    def overdue(self) -> bool:
-        self._advance()
+    def kill_if_overdue(self) -> bool:
+        """Kill the process when the current item ran too long; return whether it was killed."""
+        self._advance_to_current()
         if self._at < len(self.items):
-            return super().overdue()
+            return super().kill_if_overdue()
         # Behind its last verdict it has nothing to do but to end.
         return time.monotonic() - self._born > GRACE_S and self.kill("")
 
-    def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
-        """Return, of a process that ended, the outcomes of its items and those still to do."""
+    def split_items(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
+        """Return the outcomes of an ended process's items, and the items still to do."""
         self.join()
-        self._advance()
+        self._advance_to_current()
         outcomes = {}
         for item in self.items[: self._at]:
-            outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
+            outcomes[item.name] = self.read_verdict(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
-        not_begun = self._at > 0 and self.notice.place < self._at
+        not_begun = self._at > 0 and self.notice.cell_index < self._at
         if not_begun or self.is_suspect or self._at == len(self.items):
             return outcomes, self.items[self._at :]
-        outcomes[self.name] = self.outcome()
+        outcomes[self.name] = self.determine_outcome()
         return outcomes, self.items[self._at + 1 :]
 
 
 class CellRun:
-    """The cells of a batch on their way: run, then judged.
+    """The cells of a batch on one core: a process runs them, then another judges them.
 
     Parameters
     ----------
@@ -128,18 +126,18 @@ class CellRun:
         self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
-        """Start the first process."""
+        """Start the process that runs the batch's cells on a core."""
         return self._start_process(self._cells, core)
 
-    def follow(self, child: Child, core: int) -> Child | None:
+    def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
-        ended, rest = child.split()
+        ended, rest = child.split_items()
         if self._to_run:
-            rest = self._behind_hang(ended) + rest
+            rest = self._resume_hung_cell(ended) + rest
             self.outcomes |= ended
         else:
-            rest = self._take_part(child.items, ended) + rest
+            rest = self._collect_part(child.items, ended) + rest
         if child.is_suspect:
             for cell in rest:
                 self.outcomes.pop(cell.name, None)
@@ -147,12 +145,12 @@ class CellRun:
             rest = []
         if self._to_run and not rest:
             self._to_run = False
-            ran = [cell for cell in self._cells if self._left_steps(cell)]
+            ran = [cell for cell in self._cells if self._has_steps(cell)]
             rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
         return self._start_process(rest, core) if rest else None
 
-    def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
-        """Return the cell that was killed in a step, to go on behind it; else none."""
+    def _resume_hung_cell(self, ended: dict[str, Outcome]) -> list[BatchCell]:
+        """Return the cell killed in a hanging step, to be continued after that step; else none."""
         for i, batch_cell in enumerate(self._cells):
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
@@ -165,10 +163,10 @@ class CellRun:
                 return [self._cells[i]]
         return []
 
-    def _take_part(
+    def _collect_part(
         self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
     ) -> list[BatchCell]:
-        """Take the part of judged cells; return those to judge again, without a part."""
+        """Collect the judged cells' part file; return the cells to judge again without one."""
         lost = {
             name: f"the referee failed on it: {verdict.detail}"
             for name, verdict in ended.items()
@@ -186,14 +184,15 @@ class CellRun:
         self.outcomes |= {name: Outcome("lost", detail) for name, detail in lost.items()}
         return judged
 
-    def _left_steps(self, cell: BatchCell) -> bool:
+    def _has_steps(self, cell: BatchCell) -> bool:
+        """Return whether a cell ended with recorded steps to judge."""
         outcome = self.outcomes.get(cell.name)
         if outcome is None or outcome.outcome == "lost":
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 
     def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
-        """Start a process that runs cells, or judges them when all are run."""
+        """Start a process that runs cells, or that judges them when all are run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
@@ -206,7 +205,7 @@ class CellRun:
 
 @dataclass(frozen=True)
 class FileTask:
-    """A file to be made at `path` from its description, within `limit_s` if that is not None."""
+    """A file to make at `path` from a text, within `limit_s` [s] (None: no limit)."""
 
     description: str
     path: Path
@@ -214,19 +213,19 @@ class FileTask:
 
     @property
     def name(self) -> str:
-        """Name of its verdict."""
+        """Name of the file's verdict file, without suffix."""
         return self.path.stem
 
 
-def make_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
-    """Make files one after the other in this process."""
+def make_files_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
+    """Make several files one after the other in this process."""
     for i, task in enumerate(tasks):
         set_phase(Phase.HARNESS, i)
         target(task.description, folder, task.name, core, task.path)
 
 
 class FileRun:
-    """The files of a batch on their way, several in one process; `results` as in a `CellRun`."""
+    """The files of a batch on one core, made in turn by one or more processes."""
 
     def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
         self.batch, self.folder = batch, folder
@@ -234,23 +233,24 @@ class FileRun:
         self._paths = {path.stem: str(path) for path in batch.texts}
 
     def start(self, core: int) -> Child:
-        """Start the first process."""
+        """Start the process that makes the batch's files on a core."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
         return self._start_process(
             [FileTask(text, path, limit_s) for path, text in texts.items()], core
         )
 
-    def follow(self, child: Child, core: int) -> Child | None:
+    def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcome of a process; start the next one, or return None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
-        ended, rest = child.split()
+        ended, rest = child.split_items()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
             (self.folder / f"{name}.json").unlink(missing_ok=True)
         return self._start_process(rest, core) if rest and not child.is_suspect else None
 
     def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
-        target, alone = partial(make_in_turn, self.batch.target), self.batch.isolated
+        """Start a process that makes files one after the other."""
+        target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(
             self._context, target, tasks, self.folder, core, logs=False, alone=alone
         )

@@ -21,11 +21,11 @@ from typing import Any
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
-from dpbench.bench.record.raw_log import RawLog, is_whole
+from dpbench.bench.record.raw_log import RawLog, is_writable_log
 from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.interrupts import block_sigint
-from dpbench.bench.workers.orphans import END_S, end_below, end_orphans, signal_process
+from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
 from dpbench.kernel_cache import cache_folders
@@ -38,19 +38,19 @@ _LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.n
 """The index in the cache of what each of them compiles last."""
 
 
-def needed_modules(solvers: Iterable[str]) -> list[str]:
-    """Return the modules that cells of these solvers need; `LOOP`, which is the template, last."""
+def list_kernel_modules(solvers: Iterable[str]) -> list[str]:
+    """Return the modules with compiled kernels that cells of these solvers import."""
     return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
 
 
-def uncompiled_modules(modules: Sequence[str]) -> list[str]:
-    """Return the modules that are not in Numba's cache on this machine yet."""
+def list_uncompiled_modules(modules: Sequence[str]) -> list[str]:
+    """Return those modules whose kernels are not in Numba's cache on this machine."""
     folders = cache_folders()
     return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
 
 
 def compile_in_processes(modules: Sequence[str]) -> None:
-    """Compile each of the modules in a process of its own, side by side.
+    """Compile the kernels of each module in a process of its own, side by side.
 
     The error of one that fails appears where its kernels are needed.
     """
@@ -96,29 +96,29 @@ KEEPER = "dpbench.bench.workers.keeper"
 
 
 class NoProcessError(DpbenchError):
-    """No process can be started any more."""
+    """Raised where no worker process can be started any more."""
 
 
-def template_context(solvers: Iterable[str]) -> ForkServerContext:
-    """Return the context of processes forked from the template, with threads pinned.
+def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
+    """Start the fork server with kernels compiled and threads pinned; return its context.
 
     Its first call decides which of dpbench's own `solvers` the template has loaded; others load
     their kernels when opened.
     """
-    modules = needed_modules(solvers)
-    absent = uncompiled_modules(modules)
+    modules = list_kernel_modules(solvers)
+    absent = list_uncompiled_modules(modules)
     # A cell that did would lose its time to start; what is left over the template compiles itself.
     if OWN in absent:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([KEEPER, *modules])
-    with _running_template():
+    with _running_forkserver():
         return context
 
 
 @contextmanager
-def _running_template() -> Iterator[None]:
-    """Keep the template running, so that processes can be forked in the block."""
+def _running_forkserver() -> Iterator[None]:
+    """Keep the fork server running during the block, so that processes can be forked."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -140,7 +140,7 @@ def _running_template() -> Iterator[None]:
 
 
 class Child:
-    """One process with a working folder.
+    """A worker process with a folder for its raw log and verdict file, and limits on its time.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Child:
     ) -> None:
         self._name_files(folder, name, verdict)
         self._limit_s = limit_s
-        self._born, self._memory_kills = time.monotonic(), _memory_kills()
+        self._born, self._memory_kills = time.monotonic(), _count_memory_kills()
         self._running_since = None if logs else self._born
         self._killed_for, self._was_killed = "", False
         self.forkserver_died, self.alone = False, False
@@ -182,13 +182,13 @@ class Child:
         self._peak_bytes = 0.0
         self.notice = SharedStatus()
         self.process: ForkServerProcess = context.Process(
-            target=shared_status.run, args=(self.notice, target, args), daemon=True
+            target=shared_status.run_target, args=(self.notice, target, args), daemon=True
         )
         _start_process(self.process)
-        self.notice.handed_over()
+        self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set the paths of its log and verdict, and remove an old verdict."""
+        """Set the paths of raw log and verdict file, and delete an old verdict."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -197,24 +197,24 @@ class Child:
 
     @property
     def raw_path(self) -> Path:
-        """Its raw log, present once it started."""
+        """Path of the raw log, which exists once the cell has started."""
         return self.folder / f"{self.name}.raw"
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it wrote its outcome, which is final."""
+        """Return whether the process wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may have ended its template, and runs once more to find out."""
+        """Return whether the process may have killed its fork server, and must run again alone."""
         return self.forkserver_died and not self.alone
 
-    def overdue(self) -> bool:
-        """Kill the process when a limit has passed; return whether it was killed."""
+    def kill_if_overdue(self) -> bool:
+        """Kill the process where a time limit has passed; return whether it was killed."""
         now = time.monotonic()
-        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
-        if self._was_stopped(now):
+        self._peak_bytes = max(self._peak_bytes, self._read_peak_bytes())
+        if self._is_stopped_too_long(now):
             return self.kill(f"it was stopped by a signal for {STOPPED_S:g} s and was killed")
         if self._running_since is None and self._has_started():
             self._running_since = now
@@ -225,12 +225,13 @@ class Child:
             return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
         return False
 
-    def _resident_peak(self) -> float:
-        """Return the peak of its memory so far [B]; 0 where it is gone."""
+    def _read_peak_bytes(self) -> float:
+        """Return the peak memory of the process so far [B]; 0 where it is gone."""
         peak = process_peak_bytes(self.process.pid or 0)
         return peak if peak == peak else 0.0
 
-    def _was_stopped(self, now: float) -> bool:
+    def _is_stopped_too_long(self, now: float) -> bool:
+        """Return whether a signal has kept the process stopped for longer than `STOPPED_S`."""
         if not is_stopped(self.process.pid or 0):
             self._stopped_since = None
         elif self._stopped_since is None:
@@ -238,57 +239,60 @@ class Child:
         return self._stopped_since is not None and now - self._stopped_since > STOPPED_S
 
     def kill(self, reason: str) -> bool:
-        """Kill the process for a stated reason."""
-        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
+        """Kill the process and note the reason for its outcome; return True."""
+        self._peak_bytes = max(self._peak_bytes, self._read_peak_bytes())
         self._killed_for, self._was_killed = reason, True
         self.process.kill()
         self._join_process()
         return True
 
     def _join_process(self) -> None:
+        """Wait for the end of the process, letting a stopped fork server continue."""
         # A stopped template does not say who ended, and a stopped keeper does not let it go on.
         signal_process(self.notice.keeper, signal.SIGCONT)
         self.process.join()
 
     def join(self) -> None:
-        """Wait for its end, and end what it started; end it where its template died."""
+        """Wait for the end of the process, and end the processes that it has started."""
         self._join_process()
-        end_orphans(self.notice.keeper, self.notice.template)
+        end_orphans(self.notice.keeper, self.notice.forkserver)
         if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.forkserver_died = _has_ended(self.notice.template)
+        self.forkserver_died = _wait_for_end(self.notice.forkserver)
         if self.forkserver_died and self.process.pid is not None:
             _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
+        """Return whether the cell's raw log says that it has started."""
         try:
             return bool(RawLog.open(self.raw_path).started[0])
         except (OSError, ValueError):
             return False
 
-    def outcome(self) -> Outcome:
-        """Return its outcome, once it ended."""
+    def determine_outcome(self) -> Outcome:
+        """Wait for the end of the process and return its outcome, from its verdict or its exit."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
-        by_itself = self.notice.who is Phase.SOLVER and not self._was_killed
+        by_itself = self.notice.phase is Phase.SOLVER and not self._was_killed
         if self.has_verdict and (self.forkserver_died or not by_itself):
-            return self.verdict_of(self._verdict)
+            return self.read_verdict(self._verdict)
         if self.forkserver_died:
-            guilty = self.alone and self.notice.who.blames_solver
+            guilty = self.alone and self.notice.phase.blames_solver
             return KILLED_FORKSERVER if guilty else FORKSERVER_DIED
-        ended = self._end_without_verdict()
+        ended = self._diagnose_end()
         cut = f"; {CUT}" if self.notice.output.is_full else ""
         peak = max(self._peak_bytes, self.notice.peak_bytes)
         return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
 
-    def _end_without_verdict(self) -> Outcome:
-        by_solver = self.notice.who.blames_solver
+    def _diagnose_end(self) -> Outcome:
+        """Return the outcome of a process that left no verdict, by its exit code and phase."""
+        by_solver = self.notice.phase.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
         code = self.process.exitcode or 0
         if -code == signal.SIGKILL and self._memory_ran_out():
             return Outcome("lost", _BY_MEMORY)
-        if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
+        if -code == signal.SIGBUS and self.raw_path.exists() and not is_writable_log(self.raw_path):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
             return Outcome("crashed", self._describe_end(code))
@@ -297,23 +301,24 @@ class Child:
         return Outcome("lost", self._describe_end(code))
 
     def _memory_ran_out(self) -> bool:
-        """Return whether the kernel killed for memory meanwhile, or hides that."""
-        now = _memory_kills()
+        """Return whether the kernel killed processes for lack of memory, or hides that."""
+        now = _count_memory_kills()
         return now is None or now != self._memory_kills
 
     def _describe_end(self, code: int) -> str:
+        """Return why the process ended, in words, from its exit code and last output."""
         if code < 0:
             return f"killed by {_signal_name(-code)}"
-        words = self.notice.words
+        words = self.notice.exit_reason
         if not words:
             last = self.notice.output.last_line or "no output"
             words = f"its process left with exit code {code}: {last}"
-        where = " while it was opened" if self.notice.who is Phase.OPENING else ""
+        where = " while it was opened" if self.notice.phase is Phase.OPENING else ""
         return f"{words}{where}"
 
     @staticmethod
-    def verdict_of(path: Path) -> Outcome:
-        """Return the outcome that the process wrote."""
+    def read_verdict(path: Path) -> Outcome:
+        """Return the outcome in a verdict file; "lost" where it cannot be read."""
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
@@ -321,9 +326,9 @@ class Child:
 
 
 class ServingChild(Child):
-    """A process that takes orders over a pipe, its target's last argument, until None.
+    """A worker process that takes orders over a pipe and may serve several cells in turn.
 
-    It may serve several cells: `take_up` begins each but the first, `finish` ends each.
+    `begin_cell` begins each cell but the first, `finish_cell` ends each; None ends the process.
     """
 
     def __init__(
@@ -340,24 +345,25 @@ class ServingChild(Child):
         super().__init__(context, target, (*args, far_end), folder, name, limit_s=limit_s)
         far_end.close()
 
-    def order(self, order: object) -> None:
-        """Send an order; `reply` notices a process that died meanwhile."""
+    def send_order(self, order: object) -> None:
+        """Send an order to the process; a process that died is noticed at the reply."""
         with suppress(OSError):
             self._orders.send(order)
 
-    def ready(self) -> object:
-        """Return its first word, within the time to start; None as for `reply`."""
+    def wait_until_ready(self) -> object:
+        """Return the first reply, within the time to start; None where the process died."""
         return self._receive_reply(
             START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s"
         )
 
-    def reply(self, limit_s: float) -> object:
-        """Return its next word; None when it died, refused, or hung and was killed."""
+    def wait_for_reply(self, limit_s: float) -> object:
+        """Return the next reply; None where the process died, refused, or hung and was killed."""
         return self._receive_reply(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
 
     def _receive_reply(self, wait_s: float, overdue: str) -> object:
+        """Return a reply received within `wait_s`; else kill the process and return None."""
         # What the process started may hold the other end of its pipe open when it ends.
         ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
@@ -368,36 +374,36 @@ class ServingChild(Child):
         self.kill(f"{overdue} and was killed")
         return None
 
-    def take_up(self, folder: Path, name: str) -> None:
-        """Begin another cell, with another folder and name of log and verdict."""
+    def begin_cell(self, folder: Path, name: str) -> None:
+        """Begin another cell, with its own folder, log and verdict file."""
         self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
-    def finish(self) -> Outcome:
-        """End its cell by None and return its outcome; kill it without a reply in time."""
-        self.order(None)
+    def finish_cell(self) -> Outcome:
+        """End the current cell and return its outcome; kill the process without a reply."""
+        self.send_order(None)
         if self._receive_reply(GRACE_S, "did not end when asked to") is True:
-            return self.verdict_of(self._verdict)
-        return self.outcome()
+            return self.read_verdict(self._verdict)
+        return self.determine_outcome()
 
     def dismiss(self) -> Outcome:
-        """End it, by force if need be, and return its outcome."""
-        self.order(None)
+        """End the process, by force if need be, and return its outcome."""
+        self.send_order(None)
         self.process.join(GRACE_S)
         if self.process.is_alive():
             # Behind its verdict a worker only counts allocations, which is no reason to blame it.
             self.kill("" if self.has_verdict else "did not end when asked to")
         self._orders.close()
-        return self.outcome()
+        return self.determine_outcome()
 
 
 def _start_process(process: ForkServerProcess) -> None:
-    """Start a process, again where its template dies; NoProcessError after `STARTS` attempts."""
+    """Start a process, again where its fork server dies; NoProcessError after `STARTS` attempts."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
-        signal_process(_keeper_pid(), signal.SIGCONT)
+        signal_process(_find_keeper_pid(), signal.SIGCONT)
         try:
-            with _running_template(), hidden_main_module():
+            with _running_forkserver(), hide_main_module():
                 process.start()
             return
         except (OSError, EOFError) as error:
@@ -405,20 +411,20 @@ def _start_process(process: ForkServerProcess) -> None:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
             # It may have forked the process and not lived to tell: that ends with it.
-            end_below(_keeper_pid())
+            kill_forkserver(_find_keeper_pid())
             # While the old one lives the next attempt gets no other template, and fails as well.
-            if not _has_ended(_keeper_pid(), END_S):
-                _kill_and_wait(_keeper_pid())
+            if not _wait_for_end(_find_keeper_pid(), END_S):
+                _kill_and_wait(_find_keeper_pid())
 
 
-def _keeper_pid() -> int:
-    """Return the keeper of the running template; 0 for none."""
+def _find_keeper_pid() -> int:
+    """Return the process id of the running fork server's keeper; 0 for none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
 
 
 def is_stopped(pid: int) -> bool:
-    """Return whether a signal stopped a process (proc(5))."""
+    """Return whether a signal has stopped a process (proc(5))."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -430,10 +436,10 @@ def _kill_and_wait(pid: int) -> None:
     """Kill a process, and wait until it is gone."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    _has_ended(pid)
+    _wait_for_end(pid)
 
 
-def _has_ended(pid: int, wait_s: float = _DYING_S) -> bool:
+def _wait_for_end(pid: int, wait_s: float = _DYING_S) -> bool:
     """Return whether a process ends within `wait_s`."""
     try:
         process = os.pidfd_open(pid)
@@ -446,8 +452,8 @@ def _has_ended(pid: int, wait_s: float = _DYING_S) -> bool:
 
 
 @contextmanager
-def hidden_main_module() -> Iterator[None]:
-    """Hide the main program from processes started in the block.
+def hide_main_module() -> Iterator[None]:
+    """Hide the main program during the block from processes that are started.
 
     They would run it again: without `if __name__ == "__main__"` each would start a campaign.
     """
@@ -460,14 +466,15 @@ def hidden_main_module() -> Iterator[None]:
 
 
 def _signal_name(number: int) -> str:
+    """Return the name of a signal, such as SIGSEGV."""
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def _memory_kills() -> int | None:
-    """Return the number of processes killed for memory since the start of the kernel."""
+def _count_memory_kills() -> int | None:
+    """Return how many processes the kernel has killed for memory; None where it hides that."""
     try:
         lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
     except OSError:

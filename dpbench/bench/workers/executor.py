@@ -36,20 +36,20 @@ POLL_S = 0.1
 
 
 class Task(Protocol):
-    """A sequence of processes on one core."""
+    """Protocol of work on one core: a sequence of worker processes."""
 
     def start(self, core: int) -> Child:
-        """Start its first process."""
+        """Start the task's first worker process on a core."""
 
-    def follow(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+    def start_next(self, child: Child, core: int) -> Child | None:
+        """Record how a process ended; start the task's next one, or return None at the end."""
 
 
 AnyTask = TypeVar("AnyTask", bound=Task)
 
 
 class CorePool(Generic[AnyTask]):
-    """Cores that run tasks, each one at a time."""
+    """A queue of tasks and the cores that run them, one task per core at a time."""
 
     def __init__(self, cores: Sequence[int]) -> None:
         self._free = list(cores)
@@ -60,10 +60,10 @@ class CorePool(Generic[AnyTask]):
         return len(self._waiting) + len(self._running)
 
     def add(self, task: AnyTask) -> None:
-        """Run a task when a core is free."""
+        """Queue a task until a core is free."""
         self._waiting.append(task)
 
-    def completed(self) -> Iterator[AnyTask]:
+    def wait_for_tasks(self) -> Iterator[AnyTask]:
         """Wait until a task has ended, if there is any; yield those that have."""
         ended: list[AnyTask] = []
         while len(self) and not ended:
@@ -73,11 +73,11 @@ class CorePool(Generic[AnyTask]):
             wait([child.process.sentinel for _, child, _ in self._running], POLL_S)
             for entry in list(self._running):
                 task, child, core = entry
-                if child.process.is_alive() and not child.overdue():
+                if child.process.is_alive() and not child.kill_if_overdue():
                     continue
                 child.join()
                 self._running.remove(entry)
-                following = task.follow(child, core)
+                following = task.start_next(child, core)
                 if following is None:
                     self._free.append(core)
                     ended.append(task)
@@ -87,12 +87,12 @@ class CorePool(Generic[AnyTask]):
 
 
 def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
-    """Run tasks, each on one core; yield each when it has ended."""
+    """Run tasks on cores, one per core at a time; yield each when it has ended."""
     pool = CorePool[AnyTask](cores)
     for task in tasks:
         pool.add(task)
     while len(pool):
-        yield from pool.completed()
+        yield from pool.wait_for_tasks()
 
 
 Sources = Mapping[str, Path]
@@ -105,7 +105,7 @@ WAITING = (
 
 @contextmanager
 def _avoid_core(core: int) -> Iterator[None]:
-    """Keep this process, with its progress bar, off the measured core."""
+    """Keep this process off one core during the block, as times are measured there."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - {core} or before)
     try:
@@ -115,7 +115,7 @@ def _avoid_core(core: int) -> Iterator[None]:
 
 
 class CellExecutor(ExitStack):
-    """Runs batches in processes of their own, which end with the `with` block.
+    """Executor of batches of cells and files in worker processes on this machine's cores.
 
     Parameters
     ----------
@@ -156,16 +156,16 @@ class CellExecutor(ExitStack):
         self.callback(self._idle.close)
 
     def submit(self, batch: Batch, sources: Sources) -> None:
-        """Take a batch; timed replays only while there is no other."""
+        """Start or queue a batch; timed replays only while there is no other batch."""
         if isinstance(batch, FileBatch):
-            self._start_run(FileRun(self._context, batch, self._scratch.folder()))
+            self._start_run(FileRun(self._context, batch, self._scratch.choose_folder()))
         elif batch.is_timed:
             self._replays.append((batch, sources))
         else:
             self._submit_cells(batch, sources)
 
-    def completed(self) -> Iterator[tuple[Batch, list[Result]]]:
-        """Wait until batches have ended; yield them with their results.
+    def wait_for_batches(self) -> Iterator[tuple[Batch, list[Result]]]:
+        """Wait until batches have ended; yield each with its results.
 
         Cells and files that a dead fork server took along have none.
         """
@@ -173,51 +173,53 @@ class CellExecutor(ExitStack):
             yield self._refused.pop()
         if self._replays:
             batch, sources = self._replays.popleft()
-            yield batch, self._replay(batch, sources)
-        for run in self._pool.completed():
-            results = run.results if isinstance(run, FileRun) else self._results_of(run)
+            yield batch, self._time_replays(batch, sources)
+        for run in self._pool.wait_for_tasks():
+            results = run.results if isinstance(run, FileRun) else self._collect_results(run)
             if not len(self._pool):
                 self._sharing.close()
             yield run.batch, results
 
     def _start_run(self, run: CellRun | FileRun) -> None:
-        """Run a batch on the next core, while no campaign times replays on this machine."""
+        """Queue a batch's run on the cores, with this machine locked against timed replays."""
         self._idle.close()
         if not len(self._pool):
             self._sharing.enter_context(self._lock_machine(SHARED))
         self._pool.add(run)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
-        sizes, lost = self._log_sizes(batch.jobs, sources)
+        """Queue a batch of untimed cells; cells without room for their logs are "lost"."""
+        sizes, lost = self._measure_logs(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
         need = sum(sizes.values())
         try:
-            folder = self._scratch.folder(need + sum(self._log_bytes.values()), batch.kind)
+            folder = self._scratch.choose_folder(need + sum(self._log_bytes.values()), batch.kind)
         except NoRoomError as error:
             lost += [_lost_result(job, str(error)) for job in sizes]
             sizes = {}
         if not sizes:
             self._refused.append((batch, lost))
             return
-        cells = [self._batch_cell(job, sources) for job in sizes]
+        cells = [self._make_batch_cell(job, sources) for job in sizes]
         run = CellRun(self._context, batch, folder, cells)
         self._log_bytes[run], self._lost[run] = need, lost
         self._start_run(run)
 
-    def _results_of(self, run: CellRun) -> list[Result]:
+    def _collect_results(self, run: CellRun) -> list[Result]:
+        """Return the results of a batch whose run has ended."""
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
-        return self._results(outcomes, run.parts, run.folder) + self._lost.pop(run)
+        return self._build_results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
-    def _replay(self, batch: CellBatch, sources: Sources) -> list[Result]:
-        """Replay one sequence through all its configurations, interleaved, then judge them."""
-        sizes, lost = self._log_sizes(batch.jobs, sources)
+    def _time_replays(self, batch: CellBatch, sources: Sources) -> list[Result]:
+        """Replay one sequence with all configurations by turns, then judge them; return results."""
+        sizes, lost = self._measure_logs(batch.jobs, sources)
         if not sizes:
             return lost
         what = f"the replays of {batch.jobs[0].cell.sequence}"
         try:
-            folder = self._scratch.folder(sum(sizes.values()), what)
+            folder = self._scratch.choose_folder(sum(sizes.values()), what)
         except NoRoomError as error:
             return lost + [_lost_result(job, str(error)) for job in sizes]
         outcomes = self._run_turns_with_retries(batch, [*sizes], sources, folder)
@@ -226,7 +228,7 @@ class CellExecutor(ExitStack):
             for job in sizes
             if outcomes[job.run_id].outcome != "lost" and (folder / f"{job.run_id}.raw").exists()
         ]
-        cells = [self._batch_cell(job, sources, outcomes[job.run_id]) for job in stepped]
+        cells = [self._make_batch_cell(job, sources, outcomes[job.run_id]) for job in stepped]
         shares = filter(None, (cells[i :: len(self._cores)] for i in range(len(self._cores))))
         # Judged on every core, whatever the slots: nothing is timed any more.
         runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
@@ -239,12 +241,12 @@ class CellExecutor(ExitStack):
                 unanswered -= run.outcomes.keys()
         unanswered -= {name for part in parts for name in part.outcomes}
         answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
-        return lost + self._results(answered, parts, folder)
+        return lost + self._build_results(answered, parts, folder)
 
     def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """Return the outcomes of replays that took turns, by run_id.
+        """Return replay outcomes by run_id; replays suspected of a crash run again alone.
 
         Suspects of a dead template run alone, which finds the one that ends its template; the
         others take turns once more.
@@ -272,7 +274,7 @@ class CellExecutor(ExitStack):
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """Return the outcomes of replays of one sequence that took turns once."""
+        """Return the outcomes of replays of one sequence, run by turns, by run_id."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
@@ -281,17 +283,17 @@ class CellExecutor(ExitStack):
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = EXCLUSIVE if self._concurrency == 1 else SHARED
         with self._lock_machine(how) as held, _avoid_core(core):
-            for r in group.run():
+            for r in group.run_rounds():
                 self.progress.advance(share, f"replay {name}, round {r}")
                 batch.shown_work += share
         if not held:
             self._concurrency = max(2, self._concurrency)
         return group.outcomes
 
-    def _log_sizes(
+    def _measure_logs(
         self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
-        """Return the size of each log [B], and lost results of unreadable sources."""
+        """Return the raw log size of each job [B], and "lost" results of unreadable sources."""
         sizes: dict[CellJob, int] = {}
         lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
@@ -306,34 +308,32 @@ class CellExecutor(ExitStack):
                 lost.append(_lost_result(job, str(error)))
         return sizes, lost
 
-    def find_machine_free(self, *, times: bool) -> None:
-        """Raise BusyError early where the machine stays busy beyond the patience.
-
-        Parameters
-        ----------
-        times : whether replays will be timed, which takes all of the machine.
-        """
+    def check_machine_free(self, *, times: bool) -> None:
+        """Raise BusyError where the machine stays busy too long; `times` needs all of it."""
         if self._patience.limit_s is not None:
             with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
+        """Lock this machine, shared or exclusive for timing, waiting for other campaigns."""
         return lease_machine(
-            how, self._holder, patience=self._patience, say_waiting=self._say_waiting
+            how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
 
-    def _say_waiting(self, holders: str) -> None:
+    def _report_wait(self, holders: str) -> None:
+        """Show which campaigns are being waited for, once for each change."""
         if holders != self._waited_for:
             self.progress.waiting(WAITING.format(holders))
         self._waited_for = holders
 
     def _plugin_path(self, job: CellJob) -> str:
-        """Return the path of the job's plug-in on this machine."""
+        """Return the path of a job's plug-in file on this machine."""
         return self._modules.get(job.cell.solver_module, job.cell.solver_module)
 
-    def _batch_cell(
+    def _make_batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
+        """Return what a worker process needs to run or judge a job."""
         return BatchCell(
             job.run_id,
             job.cell.to_json(),
@@ -346,10 +346,10 @@ class CellExecutor(ExitStack):
             self._concurrency if job.cell.is_timed else None,
         )
 
-    def _results(
+    def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of a batch, those of a part together, and remove its files."""
+        """Return the results of finished jobs with their part files, and delete temporary files."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
@@ -378,4 +378,5 @@ class CellExecutor(ExitStack):
 
 
 def _lost_result(job: CellJob, cause: str) -> Result:
+    """Return the result "lost" of a job, with its cause."""
     return Result(job.run_id, Outcome("lost", cause))

@@ -45,7 +45,7 @@ configuration."""
 
 
 class ReplayWorker:
-    """One worker and the state of its service.
+    """One configuration's worker process in an interleaved replay, and its progress.
 
     Attributes
     ----------
@@ -62,40 +62,40 @@ class ReplayWorker:
         self.hung: tuple[Hang, ...] = ()
 
     @property
-    def budget_exhausted(self) -> bool:
-        """Whether its budget is used up and it has rounds enough."""
+    def is_budget_exhausted(self) -> bool:
+        """Return whether the time budget is used up after enough undisturbed rounds."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 
 class IdleWorkers:
-    """Processes that wait for another sequence, by configuration, on one `core`."""
+    """Worker processes on one core that wait for another sequence, by configuration."""
 
     def __init__(self, context: ForkServerContext, core: int) -> None:
         self._context, self._core = context, core
         self._idle: dict[tuple[str, ...], ServingChild] = {}
 
-    def start(self, order: ReplayOrder, cell: Cell) -> ServingChild:
-        """Return a waiting or new process that begins a replay."""
+    def start_replay(self, order: ReplayOrder, cell: Cell) -> ServingChild:
+        """Return a waiting or a new process, which begins a replay."""
         child = self._idle.pop(process_key(cell), None)
         # One whose template died counts as dead too.
         if child is not None and not child.process.is_alive():
             child.dismiss()
             child = None
         if child is not None:
-            child.take_up(order.folder, order.name)
+            child.begin_cell(order.folder, order.name)
         else:
             where = order.folder, order.name
             child = ServingChild(
                 self._context, serve_replays, (self._core,), *where, limit_s=cell.limit_s
             )
-        child.order(order)
+        child.send_order(order)
         return child
 
-    def finish(self, child: ServingChild, cell: Cell) -> Outcome:
+    def finish_replay(self, child: ServingChild, cell: Cell) -> Outcome:
         """Return the outcome of a replay; its process waits for another if it lives."""
-        outcome, key = child.finish(), process_key(cell)
+        outcome, key = child.finish_cell(), process_key(cell)
         if child.process.is_alive() and key not in self._idle:
             self._idle[key] = child
         else:
@@ -106,18 +106,18 @@ class IdleWorkers:
         """End all waiting processes."""
         idle, self._idle = [*self._idle.values()], {}
         for child in idle:
-            child.order(None)
+            child.send_order(None)
         for child in idle:
             child.dismiss()
 
 
 def process_key(cell: Cell) -> tuple[str, ...]:
-    """Return a key of replays that may share a process, one after the other."""
+    """Return a key that equals for replays which one process may serve in turn."""
     return (cell.solver_module, *(str(getattr(cell, name)) for name in CONFIGURATION_COLUMNS))
 
 
 class ReplayGroup:
-    """The configurations that replay one sequence.
+    """The configurations that replay one sequence by turns, round by round.
 
     Parameters
     ----------
@@ -139,90 +139,96 @@ class ReplayGroup:
         self._cells, self._alone = cells, alone
         self.outcomes: dict[str, Outcome] = {}
 
-    def run(self) -> Iterator[int]:
-        """Run all rounds; yield the number of each finished round, 0 for the warm-up."""
+    def run_rounds(self) -> Iterator[int]:
+        """Run all rounds of all configurations; yield each finished round, 0 for the warm-up."""
         workers: list[ReplayWorker] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
                 for run_id, cell in self._cells[i : i + STARTED_TOGETHER]:
-                    workers.append(ReplayWorker(run_id, cell, self._child(run_id, cell)))
+                    workers.append(ReplayWorker(run_id, cell, self._start_child(run_id, cell)))
                 for worker in workers[i:]:
-                    worker.serving = worker.child.ready() is True
+                    worker.serving = worker.child.wait_until_ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for worker in order.sample(workers, len(workers)):
-                    if worker.serving and r <= worker.cell.rounds and not worker.budget_exhausted:
-                        self.serve(worker, r)
+                    if (
+                        worker.serving
+                        and r <= worker.cell.rounds
+                        and not worker.is_budget_exhausted
+                    ):
+                        self.run_round(worker, r)
                 yield r
             self._rerun_loaded_rounds(workers, order)
         finally:
             for worker in workers:
-                outcome = self._processes.finish(worker.child, worker.cell)
+                outcome = self._processes.finish_replay(worker.child, worker.cell)
                 self.outcomes[worker.run_id] = outcome
 
     def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
-        """Repeat loaded rounds of workers whose logs still exist."""
+        """Run rounds again that other load slowed, of workers whose logs still exist."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
                 with suppress(OSError, ValueError):
-                    logs[worker.run_id] = self._log(worker)
+                    logs[worker.run_id] = self._open_log(worker)
         serving = [worker for worker in workers if worker.run_id in logs]
-        rerun_loaded_rounds(serving, logs, self.serve, order)
+        rerun_loaded_rounds(serving, logs, self.run_round, order)
 
-    def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
+    def _start_child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
+        """Start a replay of one configuration in a waiting or new process."""
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
-        child = self._processes.start(order, cell)
+        child = self._processes.start_replay(order, cell)
         child.alone = self._alone
         return child
 
-    def serve(self, worker: ReplayWorker, r: int) -> None:
-        """Run round r on a worker, once more where it was disturbed."""
+    def run_round(self, worker: ReplayWorker, r: int) -> None:
+        """Run one round of a configuration, once more where it was disturbed."""
         for _ in range(DISTURBED_RETRIES + 1):
-            worker.child.order(r)
+            worker.child.send_order(r)
             started = time.monotonic()
-            done = worker.child.reply(worker.cell.limit_s)
+            done = worker.child.wait_for_reply(worker.cell.limit_s)
             worker.spent_s += time.monotonic() - started
             if done is not True:
                 # One whose time limit stopped the round still waits for orders.
-                worker.serving = done is None and self._goes_on(worker)
+                worker.serving = done is None and self._resume_hung_worker(worker)
                 if worker.serving:
-                    self.serve(worker, r)
+                    self.run_round(worker, r)
                 return
             if r == 0:
                 return
-            if not self._disturbed(worker, r):
+            if not self._is_disturbed(worker, r):
                 worker.clean_rounds += 1
                 return
 
-    def _goes_on(self, worker: ReplayWorker) -> bool:
-        """Return whether a worker killed in a step goes on in a new process."""
-        if worker.child.outcome().outcome != "hung":
+    def _resume_hung_worker(self, worker: ReplayWorker) -> bool:
+        """Continue a replay killed in a hanging step in a new process; return whether it runs."""
+        if worker.child.determine_outcome().outcome != "hung":
             return False
         hang = find_hang(worker.cell, worker.child.raw_path, worker.hung)
         if hang is None:
             return False
         worker.child.dismiss()
         worker.hung = (*worker.hung, hang)
-        worker.child = self._child(worker.run_id, worker.cell, worker.hung)
-        return worker.child.ready() is True
+        worker.child = self._start_child(worker.run_id, worker.cell, worker.hung)
+        return worker.child.wait_until_ready() is True
 
-    def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
-        """Return whether the reference kernel around round r was slow."""
+    def _is_disturbed(self, worker: ReplayWorker, r: int) -> bool:
+        """Return whether the reference kernel around round r was slowed."""
         try:
-            return bool(is_disturbed(self._log(worker).reference_kernel_ns)[r])
+            return bool(is_disturbed(self._open_log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
 
-    def _log(self, worker: ReplayWorker) -> RawLog:
+    def _open_log(self, worker: ReplayWorker) -> RawLog:
+        """Return the raw log of one configuration's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 
-def load_levels(log: RawLog) -> NDArray[np.float64]:
-    """Return the load kernel around each round [ns] (rounds,): median of its quieter side.
+def measure_load(log: RawLog) -> NDArray[np.float64]:
+    """Return the load kernel time around each round [ns] (rounds,): median of its quieter side.
 
     NaN for an unfinished round, and for the warm-up.
     """
@@ -232,8 +238,8 @@ def load_levels(log: RawLog) -> NDArray[np.float64]:
     return levels
 
 
-def most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
-    """Return the most loaded round; None without any."""
+def find_most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
+    """Return the round with the longest load kernel time; None where no round is loaded."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 
@@ -244,7 +250,7 @@ def rerun_loaded_rounds(
     serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
-    """Repeat loaded rounds, one of each configuration by turns, within its budget.
+    """Run rounds again that other load slowed, one per configuration by turns, in budget.
 
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.
@@ -261,13 +267,13 @@ def rerun_loaded_rounds(
     }
     while True:
         serving = [one for one in configurations if one.serving]
-        levels = {one.run_id: load_levels(logs[one.run_id]) for one in serving}
+        levels = {one.run_id: measure_load(logs[one.run_id]) for one in serving}
         quietest = np.fmin.reduce(
             [np.fmin.reduce(of_rounds) for of_rounds in levels.values()], initial=np.nan
         )
         due = []
         for one in serving:
-            r = most_loaded_round(levels[one.run_id], float(quietest))
+            r = find_most_loaded_round(levels[one.run_id], float(quietest))
             if r is not None:
                 took_s = float(np.nan_to_num(logs[one.run_id].counters[r, 0]))
                 if one.spent_s + took_s < end_s[one.run_id]:

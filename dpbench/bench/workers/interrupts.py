@@ -18,14 +18,14 @@ heard again, in case the first came to nothing."""
 
 
 class Interruption:
-    """End of a program from outside; `signal` is the number of the last one, 0 for none."""
+    """A signal that ended the program: `signal` is its number, 0 for none."""
 
     def __init__(self) -> None:
         self.signal = 0
         self._heard_s = -math.inf
 
-    def hear(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt at an ending signal, unless it follows another one closely."""
         if time.monotonic() - self._heard_s < QUIET_S:
             return
         self.signal, self._heard_s = number, time.monotonic()
@@ -34,7 +34,7 @@ class Interruption:
 
 @contextmanager
 def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
-    """Raise KeyboardInterrupt at the first ending signal; ignore those soon after it.
+    """Raise KeyboardInterrupt at the first ending signal in the block; ignore quick repeats.
 
     Repeats, by a person or a program that passes them on, must not interrupt what is being saved.
     Nothing changes outside the main thread, or for signals that are handled or ignored already.
@@ -49,7 +49,7 @@ def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
     handlers = {number: signal.getsignal(number) for number in ENDING if in_main_thread}
     ours = {number: handler for number, handler in handlers.items() if handler in defaults}
     for number in ours:
-        signal.signal(number, interruption.hear)
+        signal.signal(number, interruption.handle)
     try:
         yield interruption
     finally:
@@ -69,7 +69,7 @@ def block_sigint() -> Iterator[None]:
 
 
 def forget_interrupts() -> None:
-    """Drop the delayed Ctrl-C of a process started so, and react to it from now on."""
+    """Drop a delayed Ctrl-C of this process, and react to Ctrl-C from now on."""
     if signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()):
         return
     heard = signal.signal(signal.SIGINT, signal.SIG_IGN)

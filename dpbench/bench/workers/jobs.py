@@ -31,7 +31,7 @@ Target = Callable[[str, Path, str, int, Path], None]
 
 @dataclass(eq=False)
 class CellJob:
-    """A planned cell on its way; `machine_id` is that of its `run_id`."""
+    """A planned cell with its run_id, solver library and outcome; `machine_id` is in its run_id."""
 
     planned: PlannedCell
     run_id: str
@@ -41,18 +41,18 @@ class CellJob:
 
     @property
     def cell(self) -> Cell:
-        """Its cell."""
+        """The planned cell itself, without its job's data."""
         return self.planned.cell
 
     @cached_property
     def source_key(self) -> str:
-        """Key of the file behind its QPs."""
+        """Key of the source file behind the cell's QPs."""
         return self.cell.source_key(HARNESS_VERSION)
 
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of a cell, or of a file, whose `run_id` is its path.
+    """Outcome of a cell by its run_id, or of a made file by its path.
 
     `part` has the finished cells of its batch, one object for all of these; None where nothing is
     kept.
@@ -64,13 +64,13 @@ class Result:
 
     @property
     def is_lost(self) -> bool:
-        """Whether an accident of the harness cost it."""
+        """Return whether an accident of the harness, not the solver, ended the cell."""
         return self.outcome.outcome == "lost"
 
 
 @dataclass(eq=False)
 class CellBatch:
-    """Cells of one configuration that share a process, or replays of one sequence.
+    """Cells of one configuration that share a process, or timed replays of one sequence.
 
     Parameters
     ----------
@@ -87,21 +87,21 @@ class CellBatch:
 
     @property
     def is_timed(self) -> bool:
-        """Whether nothing else may run on its machine."""
+        """Return whether nothing else may run on the machine meanwhile."""
         return self.kind == "replays"
 
     @property
     def names(self) -> list[str]:
-        """Each cell's `run_id`."""
+        """The run_id of each cell of the batch."""
         return [job.run_id for job in self.jobs]
 
     @property
     def source_keys(self) -> list[str]:
-        """Keys of the files behind its QPs, each once."""
+        """Keys of the source files behind the cells' QPs, each once."""
         return [*group_by_source(self.jobs)]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
-        """Return isolated batches of those cells, timed replays together."""
+        """Return batches that run the cells `names` again, alone; timed replays stay together."""
         jobs = [job for job in self.jobs if job.run_id in names]
         groups = [jobs] if self.is_timed else [[job] for job in jobs]
         return [CellBatch(self.kind, group, isolated=True) for group in groups]
@@ -109,7 +109,7 @@ class CellBatch:
 
 @dataclass(eq=False)
 class FileBatch:
-    """Files made one after the other in one process.
+    """Files to be made one after the other in one process.
 
     Parameters
     ----------
@@ -129,11 +129,11 @@ class FileBatch:
 
     @property
     def names(self) -> list[str]:
-        """Path of each file."""
+        """The path of each file of the batch, as text."""
         return [str(path) for path in self.texts]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[FileBatch]:
-        """Return an isolated batch of each of those files."""
+        """Return a batch for each of the files `names`, to be made again alone."""
         return [
             FileBatch(self.target, {path: text}, self.limit_s, self.are_sources, isolated=True)
             for path, text in self.texts.items()
@@ -145,7 +145,7 @@ Batch = CellBatch | FileBatch
 
 
 def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
-    """Group jobs by the key of the source of their QPs."""
+    """Return jobs grouped by the source file behind their QPs."""
     of_key: dict[str, list[CellJob]] = {}
     for job in jobs:
         of_key.setdefault(job.source_key, []).append(job)
@@ -153,7 +153,7 @@ def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
 
 
 def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
-    """Group replay jobs by their QPs; those of a group are timed by turns."""
+    """Return replay jobs grouped by their QPs; a group is timed by turns."""
     groups: dict[str, list[CellJob]] = {}
     for job in jobs:
         groups.setdefault(job.cell.problem_key, []).append(job)
@@ -161,12 +161,12 @@ def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
 
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
-    """Return a key of the cells that may share a process with this one."""
+    """Return a key that equals for cells which may share a process."""
     return (cell.mode, cell.backup, *(getattr(cell, name) for name in CONFIGURATION_COLUMNS))
 
 
-def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
-    """Cut jobs of one kind into batches for so many slots.
+def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
+    """Split jobs of one kind into batches, enough to keep `slots` processes busy.
 
     All configurations meet a sea at about the same time, so that its source is released soon.
     """
@@ -175,22 +175,24 @@ def cell_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBa
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
         alike.setdefault(configuration_key(job.cell), []).append(job)
-    size_s = batch_seconds(sum(expected_seconds(job) for job in jobs), slots)
-    groups = [g for some in alike.values() for g in cut_into_groups(some, expected_seconds, size_s)]
+    size_s = choose_batch_seconds(sum(expected_cell_seconds(job) for job in jobs), slots)
+    groups = [
+        g for some in alike.values() for g in cut_into_groups(some, expected_cell_seconds, size_s)
+    ]
     turn = {key: i for i, key in enumerate(group_by_source(jobs))}
     groups.sort(key=lambda group: turn[group[0].source_key])
     return [CellBatch(kind, group) for group in groups]
 
 
-def batch_seconds(total_s: float, slots: int) -> float:
-    """Return the least work of a batch that gives enough batches for all slots [s]."""
+def choose_batch_seconds(total_s: float, slots: int) -> float:
+    """Return the work of a batch [s] that gives enough batches for all slots."""
     return min(LONGEST_S, max(SHORTEST_S, total_s / (BATCHES_PER_SLOT * slots)))
 
 
 def cut_into_groups(
     items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
 ) -> Iterator[list[Item]]:
-    """Cut items into groups that take `size_s` or more, and `LONGEST_S` at most."""
+    """Yield groups of items, each of `size_s` of work or more, `LONGEST_S` at most."""
     group: list[Item] = []
     total_s = 0.0
     for item in items:
@@ -207,22 +209,22 @@ def cut_into_groups(
         yield group
 
 
-def expected_seconds(job: CellJob) -> float:
-    """Return the time of a cell by the measured rates."""
+def expected_cell_seconds(job: CellJob) -> float:
+    """Return the expected time of a cell [s], by measured rates."""
     return CELL_S + STEP_S * count_steps(job.cell)
 
 
 def count_steps(cell: Cell) -> int:
-    """Count the steps a cell will take, for the progress bar."""
+    """Return the number of steps a cell will take, for the progress bar."""
     return cell.steps * max(1, cell.rounds)
 
 
 def cell_label(cell: Cell) -> str:
-    """Return the name of a cell in the progress bar."""
+    """Return a cell's solver and scenario or sequence, for the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
 def list_solvers(jobs: Iterable[CellJob]) -> list[str]:
-    """Name the solvers of cells, and their backups, each once."""
+    """Return the solvers and backup solvers of all cells, each once."""
     names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
     return [*dict.fromkeys(names)]

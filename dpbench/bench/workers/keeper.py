@@ -27,7 +27,7 @@ _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal
 
 
 def _split_keeper() -> None:
-    """Return in the child; the parent becomes the keeper and never returns."""
+    """Fork: the child becomes the fork server, the parent its keeper, which never returns."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()
@@ -36,14 +36,14 @@ def _split_keeper() -> None:
         orphans.template, orphans.keeper = os.getpid(), keeper
         return
     try:
-        _keep_template(template, main)
+        _watch_forkserver(template, main)
         end_children()
     finally:
         os._exit(0)
 
 
-def _keep_template(template: int, main: int) -> None:
-    """Return when the template or the main program ended."""
+def _watch_forkserver(template: int, main: int) -> None:
+    """Wait, as keeper, until the fork server or the main program has ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     # The template's socket must refuse a connection when it is dead.
@@ -60,14 +60,14 @@ def _keep_template(template: int, main: int) -> None:
     poll = select.poll()
     poll.register(heard, select.POLLIN)
     poll.register(program, select.POLLIN)
-    while os.getppid() == main and _is_kept(template):
+    while os.getppid() == main and _reap_children(template):
         if program in dict(poll.poll()):
             return
         os.read(heard, 4096)
 
 
-def _is_kept(template: int) -> bool:
-    """Reap children, continue a stopped template; return False when that ended."""
+def _reap_children(template: int) -> bool:
+    """Reap ended children, continue a stopped fork server; return False when it has ended."""
     while True:
         try:
             state = os.waitid(os.P_ALL, 0, os.WEXITED | os.WSTOPPED | os.WNOHANG)

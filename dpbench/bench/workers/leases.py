@@ -15,24 +15,20 @@ from dpbench.errors import InputError
 from dpbench.locks import FILE, Holder, WaitLimit, lock_file, try_lease
 
 
-def lease_folder() -> Path:
-    """Return the folder of the lock files of this user on this machine.
-
-    Raises
-    ------
-    InputError : it is a link or a file, belongs to another user, or can be written by others.
-    """
+def open_lease_folder() -> Path:
+    """Return the folder of this user's lock files; InputError where others could write to it."""
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
         folder.mkdir(0o700)
     with suppress(FileNotFoundError):
-        if fault := _folder_fault(folder.lstat()):
+        if fault := _describe_folder_fault(folder.lstat()):
             allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
             raise InputError(str(folder), "", fault, allowed)
     return folder
 
 
-def _folder_fault(found: os.stat_result) -> str:
+def _describe_folder_fault(found: os.stat_result) -> str:
+    """Return why a lock folder cannot be trusted; "" for a safe one."""
     if not stat.S_ISDIR(found.st_mode):
         return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
     if found.st_uid != os.getuid():
@@ -43,6 +39,7 @@ def _folder_fault(found: os.stat_result) -> str:
 
 
 def _user_name(uid: int) -> str:
+    """Return the name of a user id, such as "user alice", for messages."""
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
     except KeyError:
@@ -51,11 +48,11 @@ def _user_name(uid: int) -> str:
 
 @contextmanager
 def lease_core() -> Iterator[int]:
-    """Lease a core of this process that no other process leases during the block.
+    """Lock a free core of this process during the block and yield its number.
 
     Where all are leased it is the first of them.
     """
-    cores, folder = sorted(os.sched_getaffinity(0)), lease_folder()
+    cores, folder = sorted(os.sched_getaffinity(0)), open_lease_folder()
     for core in cores:
         with try_lease(folder / f"core-{core}", FILE) as held:
             if held:
@@ -71,9 +68,9 @@ def lease_machine(
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
-    """Lock this machine, ALONE for timing or TOGETHER for all else.
+    """Lock this machine, exclusively for timed replays or shared for all else.
 
     Returns false where locks do not work. Parameters and errors as in `lock_file`.
     """
-    path, where = lease_folder() / "machine", "this machine"
+    path, where = open_lease_folder() / "machine", "this machine"
     return lock_file(path, how, holder, where=where, patience=patience, say_waiting=say_waiting)

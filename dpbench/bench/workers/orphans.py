@@ -23,12 +23,12 @@ template = keeper = 0
 
 
 def adopt_orphans() -> None:
-    """Become the parent of descendants whose own parent ends."""
+    """Make this process the parent of descendants whose own parent ends."""
     _libc.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def end_with_parent(parent: int) -> None:
-    """Have the kernel kill this process when `parent`, which forked it, ends."""
+    """Have the kernel kill this process when its parent ends."""
     _libc.prctl(_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
     if os.getppid() != parent:
         os._exit(0)
@@ -45,7 +45,7 @@ def has_children() -> bool:
 
 
 def list_children(pid: int) -> list[int]:
-    """Return the children of a process of one thread; none where it is gone."""
+    """Return the process ids of a process's children; none where it is gone."""
     try:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
@@ -54,7 +54,7 @@ def list_children(pid: int) -> list[int]:
 
 
 def _search_children(pid: int) -> list[int]:
-    """Return the children of a process on a kernel that does not list them."""
+    """Return the children of a process by a search of all processes."""
     import psutil  # the keeper does without it
 
     try:
@@ -70,14 +70,14 @@ def signal_process(pid: int, number: signal.Signals) -> None:
             os.kill(pid, number)
 
 
-def end_below(keeper: int) -> None:
-    """End the template of a keeper, which ends all below it, and then itself."""
+def kill_forkserver(keeper: int) -> None:
+    """Kill the fork server of a keeper, with which all workers and the keeper end."""
     for child in list_children(keeper) if keeper else []:
         signal_process(child, signal.SIGKILL)
 
 
 def end_orphans(keeper: int, template: int) -> None:
-    """End orphans of the keeper; nothing where it or the template is gone."""
+    """Kill processes that workers have left, except the fork server, and wait for their end."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
         children = list_children(keeper) if keeper else []
@@ -92,7 +92,7 @@ def end_orphans(keeper: int, template: int) -> None:
 
 
 def end_children() -> None:
-    """End all children of this process, and those they leave, and wait for them."""
+    """Kill all children of this process and what they leave, and wait for their end."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
         for child in list_children(os.getpid()):

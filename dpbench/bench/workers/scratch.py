@@ -23,16 +23,16 @@ MARGIN_BYTES = 2**21
 
 
 class NoRoomError(DpbenchError):
-    """No place has room enough."""
+    """Raised where no folder has room for raw logs."""
 
 
-def scratch_folder() -> AbstractContextManager[Path]:
+def open_scratch_folder() -> AbstractContextManager[Path]:
     """Open a temporary folder, in memory where that can be written."""
     return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
 def count_free_bytes(place: Path) -> int:
-    """Return the free bytes of a place, in memory at most those available."""
+    """Return the free bytes of a folder's file system, in memory at most those available."""
     volume = os.statvfs(place)
     # A tmpfs without a limit says that it has no blocks at all.
     free = volume.f_bavail * volume.f_frsize if volume.f_blocks else sys.maxsize
@@ -52,7 +52,7 @@ def clear_places(beside: Path) -> list[Path]:
 
 
 class Scratch(ExitStack):
-    """Scratch folders of one campaign, made when needed, removed at the end.
+    """The temporary folders of one campaign's raw logs, removed at the end.
 
     `beside` is a folder on the disk of the results, the last resort.
     """
@@ -65,7 +65,7 @@ class Scratch(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """A line for each other place that logs were put into."""
+        """A remark for each folder that was used because the usual one was full."""
         lines = []
         for place, parts in self._elsewhere.items():
             _, largest = max(parts)
@@ -73,34 +73,32 @@ class Scratch(ExitStack):
             lines.append(f"{many} lay in {place}: {largest}")
         return lines
 
-    def folder(self, need: int = 0, what: str = "") -> Path:
-        """Return a folder with room for `need` bytes of logs of `what`; any for 0 bytes.
-
-        Raises
-        ------
-        NoRoomError : there is none.
-        """
+    def choose_folder(self, need: int = 0, what: str = "") -> Path:
+        """Return a folder with room for `need` bytes of raw logs; NoRoomError without any."""
         short: list[str] = []
         for place in self._places:
             free = count_free_bytes(place)
             if free < need + MARGIN_BYTES:
-                short.append(f"{place} has {_megabytes(free)}")
+                short.append(f"{place} has {_format_megabytes(free)}")
                 continue
             if short and need:
-                words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
+                words = f"{what} took {_format_megabytes(need)} where {' and '.join(short)} free"
                 self._elsewhere.setdefault(place, []).append((need, words))
             return self._make_folder(place)
         if not need:
             return self._make_folder(self._places[-1])
         raise NoRoomError(
-            f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
+            f"no room for the logs of {what} ({_format_megabytes(need)}): "
+            f"{' and '.join(short)} free"
         )
 
     def _make_folder(self, place: Path) -> Path:
+        """Return this campaign's temporary folder in a place, made on first use."""
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
 
 
-def _megabytes(size: int) -> str:
+def _format_megabytes(size: int) -> str:
+    """Return a number of bytes as text in MB."""
     return f"{size / 1e6:.1f} MB"

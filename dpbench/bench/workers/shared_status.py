@@ -44,7 +44,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Part of the program at work in a process."""
+    """Phases of a worker process: starting, harness work, opening a solver, solving."""
 
     STARTING = 0
     HARNESS = 1
@@ -53,12 +53,12 @@ class Phase(IntEnum):
 
     @property
     def blames_solver(self) -> bool:
-        """Whether a process that ends now was ended by its solver."""
+        """Return whether the solver is blamed for a process that ends in this phase."""
         return self >= Phase.OPENING
 
 
 class Output:
-    """Output of a process and its children: a file in memory of fixed size.
+    """Captured output of a worker process and its children, in memory of fixed size.
 
     Its position is shared with the supervisor and tells how far it is filled.
     """
@@ -75,42 +75,44 @@ class Output:
     def __reduce__(self) -> tuple[Callable[..., Output], tuple[Any, ...]]:
         return _receive_output, (reduction.DupFd(self._descriptor),)
 
-    def take(self) -> None:
-        """Redirect the output of this process to it."""
+    def redirect(self) -> None:
+        """Redirect stdout and stderr of this process to the captured output."""
         for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(self._descriptor, number)
             sink = io.BufferedWriter(_Sink(number, "w", closefd=False))
             text = io.TextIOWrapper(sink, "utf-8", "replace", line_buffering=True)
             setattr(sys, name, text)
 
-    def begin_again(self) -> None:
-        """Forget earlier output."""
+    def discard(self) -> None:
+        """Discard the process output captured so far."""
         with suppress(ValueError):
             sys.stdout.flush()
         os.lseek(self._descriptor, 0, os.SEEK_SET)
 
     @property
     def is_full(self) -> bool:
-        """Whether output was dropped."""
+        """Return whether the captured output was cut."""
         # A write may be refused whole for its last bytes.
-        return self._end > OUTPUT_BYTES - 2**14
+        return self._size > OUTPUT_BYTES - 2**14
 
     @property
     def last_line(self) -> str:
-        """Its last line; "" where there is none."""
-        start = max(0, self._end - 4096)
-        text = os.pread(self._descriptor, self._end - start, start).decode(errors="replace")
+        """The last line of the captured output; "" where there is none."""
+        start = max(0, self._size - 4096)
+        text = os.pread(self._descriptor, self._size - start, start).decode(errors="replace")
         return (text.strip().splitlines() or [""])[-1][:300]
 
     @property
-    def _end(self) -> int:
+    def _size(self) -> int:
+        """Number of bytes of output captured so far."""
         return os.lseek(self._descriptor, 0, os.SEEK_CUR)
 
 
 class _Sink(io.FileIO):
-    """A file that drops what it has no room for: a solver that prints must not fail by it."""
+    """A file that drops what it has no room for, so that a printing solver does not fail."""
 
     def write(self, data: Any) -> int:
+        """Write data; where there is no room, drop it and report it as written."""
         try:
             return super().write(data)
         except OSError:
@@ -118,11 +120,12 @@ class _Sink(io.FileIO):
 
 
 def _receive_output(descriptor: Any) -> Output:
+    """Return the captured output in the process that it was sent to."""
     return Output(descriptor.detach())
 
 
 class SharedStatus:
-    """The page of one process, shared with its supervisor; sent as an argument."""
+    """Phase, exit reason and output of a worker process, in memory shared with its supervisor."""
 
     def __init__(self, descriptor: int | None = None, output: Output | None = None) -> None:
         self.output = output or Output()
@@ -135,12 +138,12 @@ class SharedStatus:
     def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
         return _receive_status, (reduction.DupFd(self._descriptor), self.output)
 
-    def handed_over(self) -> None:
-        """Close the descriptor after the process has received it."""
+    def close_descriptor(self) -> None:
+        """Close the file descriptor after the worker process has received its own."""
         os.close(self._descriptor)
 
     def begin(self) -> None:
-        """Write template and keeper of the process, and begin the phase of the harness.
+        """Record fork server and keeper of this process, and begin the harness phase.
 
         The process ends here if its template has died.
         """
@@ -149,45 +152,45 @@ class SharedStatus:
         _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
         self.set_phase(Phase.HARNESS)
 
-    def set_phase(self, who: Phase, place: int | None = None) -> None:
-        """Set the phase, and the number of the current one of several cells."""
-        at = self.place if place is None else place
-        _HEAD.pack_into(self._page, 0, who, at, 0)
+    def set_phase(self, phase: Phase, cell_index: int | None = None) -> None:
+        """Set the phase, and the index of the current one of several cells."""
+        at = self.cell_index if cell_index is None else cell_index
+        _HEAD.pack_into(self._page, 0, phase, at, 0)
 
-    def record_exit(self, who: Phase, words: str) -> None:
-        """Write the phase that ends the process, and the reason."""
-        text = " ".join(words.split()).encode()[: mmap.PAGESIZE - _WORDS]
+    def record_exit(self, phase: Phase, reason: str) -> None:
+        """Record the phase in which the process ends, the reason, and its peak memory."""
+        text = " ".join(reason.split()).encode()[: mmap.PAGESIZE - _WORDS]
         self._page[_WORDS : _WORDS + len(text)] = text
         _PEAK.pack_into(self._page, _PEAK_AT, process_peak_bytes())
-        _HEAD.pack_into(self._page, 0, who, self.place, len(text))
+        _HEAD.pack_into(self._page, 0, phase, self.cell_index, len(text))
 
     @property
-    def who(self) -> Phase:
-        """The phase, or the last one of a process that ended."""
+    def phase(self) -> Phase:
+        """The current phase, or the last one of a process that has ended."""
         return Phase(_HEAD.unpack_from(self._page)[0])
 
     @property
-    def place(self) -> int:
-        """Number of the current cell."""
+    def cell_index(self) -> int:
+        """Index of the current cell in its batch."""
         return int(_HEAD.unpack_from(self._page)[1])
 
     @property
-    def template(self) -> int:
-        """Process that this one was forked from; 0 before it began."""
+    def forkserver(self) -> int:
+        """Process id of the fork server; 0 before the process began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
 
     @property
     def keeper(self) -> int:
-        """Process above the template, which adopts orphans; 0 before it began."""
+        """Process id of the fork server's keeper, which adopts orphans; 0 before it began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[1])
 
     @property
     def peak_bytes(self) -> float:
-        """Peak of its memory when an exception ended it; 0 for none."""
+        """Peak memory when an exception ended the process [B]; 0 for none."""
         return float(_PEAK.unpack_from(self._page, _PEAK_AT)[0])
 
     @property
-    def words(self) -> str:
+    def exit_reason(self) -> str:
         """Reason why the process ended; "" where it recorded none."""
         length = _HEAD.unpack_from(self._page)[2]
         text = bytes(self._page[_WORDS : _WORDS + length])
@@ -195,9 +198,9 @@ class SharedStatus:
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
-    """Return the status in the process that it was sent to."""
+    """Return the shared status in the process that it was sent to."""
     notice = SharedStatus(descriptor.detach(), output)
-    notice.handed_over()
+    notice.close_descriptor()
     return notice
 
 
@@ -205,48 +208,48 @@ _process_status: list[SharedStatus] = []
 """The notice of this process; none in one that nobody supervises."""
 
 
-def set_phase(who: Phase, place: int | None = None) -> None:
-    """Set the phase of this process, and the number of the current one of several cells."""
+def set_phase(phase: Phase, cell_index: int | None = None) -> None:
+    """Set the phase of this process in its shared status, and the index of its cell."""
     for notice in _process_status:
-        notice.set_phase(who, place)
+        notice.set_phase(phase, cell_index)
 
 
-def begin_output() -> None:
-    """Forget the output of this process, as another cell begins."""
+def discard_output() -> None:
+    """Discard the output captured from this process so far, as another cell begins."""
     for notice in _process_status:
-        notice.output.begin_again()
+        notice.output.discard()
 
 
 def truncation_note() -> str:
-    """Return `CUT` where output of this process was dropped; "" else."""
+    """Return a note where this process's captured output was cut; "" otherwise."""
     return CUT if any(notice.output.is_full for notice in _process_status) else ""
 
 
-def run(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    """Run a process's target; record an exception as the reason of its end."""
+def run_target(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
+    """Run the target of a worker process; record an exception as the reason of its end."""
     _process_status[:] = [notice]
     notice.begin()
-    notice.output.take()
+    notice.output.redirect()
     mark_as_first_oom_victim()
     try:
         target(*args)
     except BaseException as error:  # SystemExit and a panic of Rust, too, are said and end here
-        who = notice.who
+        phase = notice.phase
         if isinstance(error, Exception) and not _is_from_solver(error.__traceback__):
-            who = Phase.HARNESS
-        notice.record_exit(who, describe_exception(error))
+            phase = Phase.HARNESS
+        notice.record_exit(phase, describe_exception(error))
         raise SystemExit(1) from None
 
 
 def describe_exception(error: BaseException) -> str:
-    """Return what was raised, in half a line."""
+    """Return type and message of an exception, in half a line."""
     if isinstance(error, SystemExit):
         return f"SystemExit({error.code!r})"
     return f"{type(error).__name__}: {error}"[:300]
 
 
 def _is_from_solver(trace: TracebackType | None) -> bool:
-    """Return whether an exception came out of a solver, or of its adapter."""
+    """Return whether an exception was raised in a solver or its adapter."""
     while trace is not None:
         if trace.tb_frame.f_code.co_filename.startswith(_BY_SOLVERS):
             return True

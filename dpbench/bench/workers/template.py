@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from dpbench.bench.run.replay import reference_kernel_ns
+from dpbench.bench.run.replay import time_kernels
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
@@ -25,7 +25,8 @@ from dpbench.ship.vessel import Vessel
 __all__ = ["worker"]
 
 
-def _prime() -> None:
+def _compile_kernels() -> None:
+    """Run every compiled kernel once, so that forked workers need not compile."""
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     for loads, columns in ((None, 3), (np.zeros(6), 9)):
@@ -35,13 +36,13 @@ def _prime() -> None:
     unwrap_pose(three, three)
     model = build_prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
-    reference_kernel_ns(time.perf_counter_ns)
+    time_kernels(time.perf_counter_ns)
     # At a limit, so that the referee looks for the active set too.
     rows = np.eye(3), -3.0 * three, 3.0 * three
     certify(QuadraticProgram(np.eye(3), -2.0 * three, *rows, -three, three))
 
 
-_prime()
+_compile_kernels()
 # A collection in a fork would walk, and thereby copy, the whole heap: 0.2 s of every process.
 gc.collect()
 gc.freeze()

@@ -28,23 +28,23 @@ from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, stored_weather
+from dpbench.bench.run.exact_loop import ExactLoop, read_stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
-    affordable_steps,
-    forget_peak,
+    count_affordable_steps,
+    count_threads,
     limit_memory,
-    measure_steps,
-    memory_bytes,
+    machine_memory_bytes,
+    measure_step_memory,
     process_peak_bytes,
-    threads,
+    reset_peak_memory,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, step_alarm
 from dpbench.bench.sequences.source import is_readable, read_replay, source_file
 from dpbench.bench.workers.orphans import has_children
-from dpbench.bench.workers.shared_status import Phase, begin_output, set_phase, truncation_note
+from dpbench.bench.workers.shared_status import Phase, discard_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import cached_scenario
@@ -58,7 +58,7 @@ Hang = tuple[int, int]
 
 
 def disable_gc_and_warnings() -> None:
-    """Ignore warnings and stop the garbage collector."""
+    """Switch off the garbage collector and warnings in this process."""
     warnings.simplefilter("ignore")
     gc.collect()
     gc.freeze()
@@ -66,18 +66,18 @@ def disable_gc_and_warnings() -> None:
 
 
 def pin_to_core(core: int) -> None:
-    """Stay on one core from now on."""
+    """Bind this process to one core."""
     os.sched_setaffinity(0, {core})
 
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
-    """Write the outcome of a cell for the supervisor."""
+    """Write an outcome to a verdict file, for the supervisor."""
     write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """A cell of a batch: its run_id and JSON, own run time, the file behind its QPs.
+    """One cell of a batch, with all that a worker process needs to run and judge it.
 
     outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.
@@ -97,10 +97,10 @@ class BatchCell:
 
 
 def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
-    """Return round and step in which the killed process of a cell hung, by its log.
+    """Return round and step in which a killed process hung; None where it cannot be continued.
 
-    None where it cannot go on behind it: it hung too often, or outside of its steps. The log counts
-    as not started again, so that the next process has time to open its library.
+    It cannot where it hung too often, or outside of its steps. The log is marked as not started, so
+    that the next process has time to open its library.
     """
     if len(before) >= MOST_HANGS:
         return None
@@ -110,14 +110,14 @@ def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
         return None
     if not log.started[0]:
         return None
-    hang = _open_step(cell, log, {k for _, k in before})
+    hang = _find_open_step(cell, log, {k for _, k in before})
     if hang is not None:
         log.started[0] = 0
     return hang
 
 
-def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
-    """Return the first unfinished round and step of a log, none of the `known` steps."""
+def _find_open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
+    """Return the first unfinished round and step of a raw log, none of the `known` steps."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -133,15 +133,15 @@ def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
 
 
 def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
-    """Settle the process and open the cell's solver; InputError where that is refused."""
+    """Load the cell's solver in this process and return its workspace, memory limited."""
     if settled:
-        begin_output()
-        forget_peak()
+        discard_output()
+        reset_peak_memory()
     else:
         disable_gc_and_warnings()
     set_phase(Phase.OPENING)
     if not settled:
-        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
+        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes()))
         if cell.solver_module:
             load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver, *filter(None, [cell.backup]))
@@ -159,7 +159,7 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
 def _open_or_refuse(
     cell: Cell, folder: Path, name: str, *, settled: bool = False
 ) -> Workspace | None:
-    """Open the cell's solver; write a verdict `refused` and return None where that fails."""
+    """Return the cell's workspace; None, with a verdict "refused", where the solver refuses."""
     try:
         return _open_workspace(cell, settled=settled)
     except InputError as error:
@@ -169,7 +169,7 @@ def _open_or_refuse(
 
 
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Run the cells of one configuration, each with a raw log and a verdict of its own."""
+    """Run cells of one configuration in turn, each with a raw log and a verdict file."""
     pin_to_core(core)
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
@@ -193,14 +193,14 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
 
 def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
-    """Return a function that makes the log of a cell, or opens that of a hung process."""
+    """Return a function that creates a cell's raw log, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
 def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Run a closed loop in the weather of the reference loop; return the verdict."""
+    """Run the closed loop of a cell and return its outcome."""
     scenario = cached_scenario(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
@@ -210,7 +210,7 @@ def _run_closed_loop(
     except InputError as error:
         return Outcome("refused", str(error))
     with open_arrays(source) as stored:
-        setup.drawn = stored_weather(stored)
+        setup.drawn = read_stored_weather(stored)
     before = read_counters()
     set_phase(Phase.SOLVER)
     with step_alarm(STEP_SHARE * cell.limit_s, clock):
@@ -224,27 +224,30 @@ def _run_closed_loop(
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Replay all rounds; return the verdict."""
+    """Replay all rounds of a cell whose times are not compared, and return its outcome."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
-    configuration, timed_solver, log = _replay_run(
+    configuration, timed_solver, log = _prepare_replay(
         cell, workspace, raw, sequence, preroll=0, hung=hung
     )
     begin = hung[-1][0] if hung else 0
     with step_alarm(STEP_SHARE * cell.limit_s, clock):
-        complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
+        complete = all(configuration.run_round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
-    return _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
+    return _make_outcome(
+        cell, workspace, timed_solver, "" if complete else _describe_last_round(log)
+    )
 
 
-def _describe_round(log: RawLog) -> str:
+def _describe_last_round(log: RawLog) -> str:
+    """Return which round of a replay was reached last, in words."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
 def _make_outcome(
     cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
 ) -> Outcome:
-    """Return the verdict on a cell that ended by itself, `stopped` where its limit ended it."""
+    """Return the outcome of a cell that ended by itself; `stopped` tells of its time limit."""
     details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
     if timed_solver.details:
         # The library's most frequent words on its failures.
@@ -257,10 +260,7 @@ def _make_outcome(
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """A replay to serve: JSON of its cell, source of its QPs, folder and name of its files.
-
-    `hung` tells where earlier processes of it hung.
-    """
+    """An order to serve one replay: its cell, source file, folder and name."""
 
     cell: str
     source: Path
@@ -270,7 +270,7 @@ class ReplayOrder:
 
 
 def serve_replays(core: int, orders: Connection) -> None:
-    """Serve replays of one configuration in turn, each with its own workspace and log.
+    """Serve ordered replays of one configuration in turn, one round per order.
 
     An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are True
     when it is ready, whether each round was completed, and True when its verdict is written; None
@@ -281,7 +281,7 @@ def serve_replays(core: int, orders: Connection) -> None:
     while (order := orders.recv()) is not None:
         os.sched_setaffinity(0, anywhere)
         if settled:
-            memory.begin_again()
+            memory.begin_replay()
         if not _serve_replay(order, core, orders, memory, settled=settled):
             orders.send(None)
             return
@@ -296,14 +296,14 @@ def serve_replays(core: int, orders: Connection) -> None:
 def _serve_replay(
     order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
 ) -> bool:
-    """Serve the rounds of one replay and write its verdict; False where it is refused."""
+    """Serve the rounds of one replay and write its verdict; return False where it is refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
     workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
     memory.record_setup()
     sequence = source_file(cell).load(order.source).sequence
-    configuration, timed_solver, log = _replay_run(
+    configuration, timed_solver, log = _prepare_replay(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
     # Pinned only now, so that several workers can import their libraries side by side.
@@ -312,23 +312,25 @@ def _serve_replay(
     complete = True
     while (r := orders.recv()) is not None:
         with step_alarm(STEP_SHARE * cell.limit_s, clock):
-            complete = configuration.round(r)
+            complete = configuration.run_round(r)
         orders.send(complete)
     set_phase(Phase.HARNESS)
-    log.footprint[:3] = (memory.peak_bytes(), *threads())
-    verdict = _make_outcome(cell, workspace, timed_solver, "" if complete else _describe_round(log))
+    log.footprint[:3] = (memory.peak_bytes(), *count_threads())
+    verdict = _make_outcome(
+        cell, workspace, timed_solver, "" if complete else _describe_last_round(log)
+    )
     write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
-        steps = affordable_steps(log)
+        steps = count_affordable_steps(log)
         set_phase(Phase.SOLVER)
-        log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
+        log.footprint[3:] = measure_step_memory(configuration.sequence, timed_solver, steps)
         set_phase(Phase.HARNESS)
     return True
 
 
-def _replay_run(
+def _prepare_replay(
     cell: Cell,
     workspace: Workspace,
     raw: Path,
@@ -338,7 +340,7 @@ def _replay_run(
     memory: MemoryWatch | None = None,
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    """Prepare a replay for its rounds and begin the phase of its solver."""
+    """Return a replay ready for its rounds, its timed solver and its raw log."""
     steps, timed_solver, log = replay_parts(
         sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
@@ -359,7 +361,7 @@ def _replay_run(
 
 
 def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
-    """Replay every ordered sequence through a new workspace of the cell's configuration.
+    """Replay every ordered sequence with a new workspace of one configuration.
 
     An order is a sequence and its time limit [s], the reply whether it was completed; None ends the
     service. The first reply is True, or the reason why the configuration cannot run.
@@ -375,8 +377,8 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
         workspace = _open_workspace(cell, settled=True)
-        configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
-        complete = all(configuration.round(r) for r in range(cell.rounds + 1))
+        configuration, _, _ = _prepare_replay(limited, workspace, folder / f"{name}.raw", sequence)
+        complete = all(configuration.run_round(r) for r in range(cell.rounds + 1))
         set_phase(Phase.HARNESS)
         orders.send(complete)
         del workspace, configuration
@@ -384,7 +386,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz) if need be; leave a verdict."""
+    """Make a cell's source file at `path` unless it is readable; write a verdict."""
     pin_to_core(core)
     disable_gc_and_warnings()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
@@ -401,7 +403,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Let the referee judge the raw logs of cells in a process that never loaded their solver.
+    """Judge the raw logs of several cells in a process that has not loaded their solver.
 
     Their part appears in `folder` as `<name of the first>.judged`.
     """
@@ -419,7 +421,7 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
 
 def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
-    """Return the row and the steps of a cell that ran."""
+    """Return the row and the steps of a cell, from its raw log."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
     evaluated = _evaluate_log(cell, batch_cell.source, log)
@@ -430,13 +432,14 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
 
 
 def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
+    """Return the evaluated raw log of a replay or a closed loop."""
     if cell.mode == "replay":
         known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
-    return evaluate_log(cell, log, _exact_loop(source))
+    return evaluate_log(cell, log, _load_exact_loop(source))
 
 
 @lru_cache(maxsize=1)
-def _exact_loop(path: Path) -> ExactLoop:
-    """Return the reference loop, read once for many cells in a row."""
+def _load_exact_loop(path: Path) -> ExactLoop:
+    """Return the exactly solved loop in a file; the latest is kept for the next cells."""
     return ExactLoop.load(path, with_optima=False)

@@ -16,10 +16,10 @@ from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
-from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.interrupts import first_signal_only
-from dpbench.bench.workers.scratch import scratch_folder
-from dpbench.bench.worst_case.goal import GOALS, Goal, Worst
+from dpbench.bench.workers.scratch import open_scratch_folder
+from dpbench.bench.worst_case.goal import GOALS, Goal, WorstStep
 from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
@@ -37,7 +37,7 @@ _WORDS = {"timed_out": "slow"}
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """Result of a search.
+    """Result of a worst-case search: the goal, the cell, the search and its saved files.
 
     Parameters
     ----------
@@ -52,27 +52,27 @@ class WorstCase:
     failures: dict[str, Path]
 
     @property
-    def worst(self) -> Worst | None:
-        """The worst step that was found."""
+    def worst(self) -> WorstStep | None:
+        """The worst step found; None where no step had a figure."""
         return None if self.search.best is None else self.search.best.worst
 
     @property
     def beats_baseline(self) -> bool:
-        """Return whether it is worse than any step of the scenario itself."""
+        """Return whether the worst step is worse than any step of the unchanged scenario."""
         own = self.search.baseline
         return self.worst is not None and (own is None or self.worst.objective > own.objective)
 
     @property
     def lines(self) -> list[str]:
-        """The findings in plain words, a line each."""
+        """The result of a worst-case search in words, a line each."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         headline = "nothing found"
         if worst is not None:
-            headline = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
+            headline = f"{worst.describe_figure(self.goal)} at step {worst.step} of {self.path}"
         early = f" ({search.stopped})" if search.stopped else ""
         outcome = search.baseline_outcome
-        own = "" if search.baseline is None else search.baseline.figure(self.goal)
+        own = "" if search.baseline is None else search.baseline.describe_figure(self.goal)
         if outcome.outcome != "finished":
             own = f"{own} ({outcome.detail or outcome.outcome})".strip()
         beside = (
@@ -104,13 +104,13 @@ def find_worst_case(
     solver_module: str | Path | None = None,
     progress: Progress | None = None,
 ) -> WorstCase:
-    """Search for the worst step of a solver and save its sequence, which replays to the same.
+    """Search for a solver's worst step over variants of a scenario, and save its sequence.
 
     Ctrl-C ends the search early with the best case so far.
 
     Parameters
     ----------
-    scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
+    scenario : whose ship, controller and weather the cases share; goal : as in `find_worst_step`.
     route, policy, settings : of the solver; no route is native where it has that.
     budget : cases tried; steps : length of each.
     out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. The first case that crashes or
@@ -127,13 +127,13 @@ def find_worst_case(
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
-    cell = _replay_cell(solver, route, policy, settings, base)
+    cell = _make_baseline_cell(solver, route, policy, settings, base)
     _check_writable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():
-        context = template_context([solver])
+        context = start_forkserver([solver])
         with (
-            scratch_folder() as folder,
+            open_scratch_folder() as folder,
             closing(SearchedSolver(context, folder, cell)) as solver_process,
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
@@ -153,7 +153,7 @@ def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
 
 
 def _check_writable(path: Path) -> None:
-    """Check before a search of minutes that the file can be written; InputError if not."""
+    """Raise InputError where a result file cannot be written, before a search of minutes."""
     trial = path.with_name(path.name + ".part")
     try:
         if path.is_dir():
@@ -166,10 +166,10 @@ def _check_writable(path: Path) -> None:
         raise InputError("--out", "", reason, "a file that can be written") from error
 
 
-def _replay_cell(
+def _make_baseline_cell(
     solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
 ) -> Cell:
-    """Return the replay of the scenario itself."""
+    """Return the cell that replays the unchanged scenario with the solver."""
     row = find_record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
@@ -188,7 +188,7 @@ def _replay_cell(
 
 
 def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Write the worst case and the failures."""
+    """Save the worst case and the first case of each failure; return the result with paths."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,
@@ -213,6 +213,7 @@ def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
 
 
 def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
+    """Save one case's sequence, with what happened to the solver as metadata."""
     scenario, worst = case.scenario, case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:

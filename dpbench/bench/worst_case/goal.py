@@ -21,8 +21,8 @@ _NO_ANSWER_CLAIMS = [status for status in Status if status.denies_optimum]
 
 
 @dataclass(frozen=True)
-class Worst:
-    """The worst step of a replay.
+class WorstStep:
+    """The worst step of a replay: iterations, error, status, and how bad it is.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ class Worst:
     objective: float
     score: float
 
-    def figure(self, goal: Goal) -> str:
-        """Return the figure of the goal in words."""
+    def describe_figure(self, goal: Goal) -> str:
+        """Return the step's iterations or error in words, as the goal asks."""
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
@@ -51,8 +51,8 @@ class Worst:
         return f"error_plan {self.error_plan:.2e} ({claim}{near})"
 
 
-def worst_of(evaluated: EvaluatedCell, goal: Goal) -> Worst | None:
-    """Return the worst step of the counting rounds of a replay; None where no step has a figure.
+def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
+    """Return the worst step of a replay's counting rounds; None where no step has a figure.
 
     Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
     claimed counts its `error_plan`; one that is declined (no claim, or a failure) counts at most
@@ -78,7 +78,7 @@ def worst_of(evaluated: EvaluatedCell, goal: Goal) -> Worst | None:
     else:
         score = float(np.log10(np.clip(worst, _ROUNDING, _LARGEST)))
     evaluations = columns["evaluations"][counting][at]
-    return Worst(
+    return WorstStep(
         int(columns["k"][counting][at]),
         int(iterations[at]),
         float(evaluations[EVALUATION.index("error_plan")]),
@@ -90,6 +90,7 @@ def worst_of(evaluated: EvaluatedCell, goal: Goal) -> Worst | None:
 
 
 def _error_objective(evaluated: EvaluatedCell) -> Floats:
+    """Return how bad each step's answer is by its error; inf for a false claim."""
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

@@ -23,7 +23,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import record_sequence
 from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import answer_sequences
-from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
+from dpbench.bench.worst_case.goal import Goal, WorstStep, find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
@@ -38,41 +38,37 @@ _POPULATIONS = (8, 16, 32)
 
 
 class _BudgetError(Exception):
-    """The budget is spent; no DpbenchError, as nothing went wrong."""
+    """Raised within a search when its budget is spent."""
 
 
 class SearchedSolver:
-    """One configuration, ready to answer sequences; InputError if it cannot run.
-
-    Parameters
-    ----------
-    context : forks its processes; folder : for their raw logs; cell : the configuration.
-    """
+    """A solver configuration in a worker process that answers sequences one after the other."""
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
         self._start_process()
 
     def _start_process(self) -> None:
+        """Start a worker process with the solver; InputError where it cannot run."""
         args = (self._cell.to_json(), self._folder, "searched")
         self._child = ServingChild(
             self._context, answer_sequences, args, self._folder, "searched", limit_s=None
         )
-        ready = self._child.ready()
+        ready = self._child.wait_until_ready()
         if isinstance(ready, InputError):
             raise ready
         if ready is not True:
-            outcome = self._child.outcome()
+            outcome = self._child.determine_outcome()
             where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
-        """Replay a sequence in `limit_s`; return the outcome and the evaluated columns."""
+        """Replay a sequence within `limit_s`; return the outcome and the evaluated columns."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
-        self._child.order((replace(sequence, sparse_equivalent=None), limit_s))
-        completed = self._child.reply(limit_s)
+        self._child.send_order((replace(sequence, sparse_equivalent=None), limit_s))
+        completed = self._child.wait_for_reply(limit_s)
         outcome = Outcome("finished", "")
         if completed is False:
             outcome = Outcome("timed_out", f"the sequence took more than {limit_s:g} s")
@@ -85,22 +81,22 @@ class SearchedSolver:
         return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
 
     def close(self) -> None:
-        """End the process."""
+        """End the worker process of the solver."""
         self._child.dismiss()
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A variant of a scenario, its QPs, the process's outcome, and its worst step, if any."""
+    """A variant of a scenario, its QPs, the solver's outcome, and its worst step, if any."""
 
     scenario: Scenario
     sequence: QPSequence
     outcome: Outcome
-    worst: Worst | None
+    worst: WorstStep | None
 
 
 class Search:
-    """One search.
+    """A search for the case with a solver's worst step, by differential evolution.
 
     Attributes
     ----------
@@ -120,7 +116,7 @@ class Search:
     ) -> None:
         self._solver_process, self._space, self._goal = solver_process, space, goal
         self._budget, self._progress = budget, progress
-        self.baseline: Worst | None = None
+        self.baseline: WorstStep | None = None
         self.baseline_outcome = Outcome("timed_out", "not tried")
         self.best: Case | None = None
         self.failures: dict[str, tuple[int, Case]] = {}
@@ -128,7 +124,7 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """Evaluate the scenario itself, then spend the budget; Ctrl-C ends it early.
+        """Evaluate the unchanged scenario, then search until the budget is spent.
 
         Raises
         ------
@@ -136,7 +132,7 @@ class Search:
         CertificateError : a step of the scenario itself cannot be certified.
         """
         # An impossible length is an error before anything runs.
-        self._space.scenario(np.zeros(self._space.dimensions))
+        self._space.build_variant(np.zeros(self._space.dimensions))
         self._progress.start(self._budget)
         try:
             self._evaluate_baseline(base)
@@ -147,15 +143,17 @@ class Search:
             self.stopped = "interrupted"
 
     def _evaluate_baseline(self, base: Scenario) -> None:
+        """Replay the unchanged scenario and set its outcome and worst step."""
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
         outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
-        self.baseline = None if evaluated is None else worst_of(evaluated, self._goal)
+        self.baseline = None if evaluated is None else find_worst_step(evaluated, self._goal)
         if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
             allowed = "a solver that counts its iterations on this route, or --goal error"
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
     def _evolve(self, rng: np.random.Generator) -> None:
+        """Minimise the cost of points by differential evolution, again and again, until stopped."""
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
@@ -178,12 +176,15 @@ class Search:
         self.evaluations += 1
         worst = self._evaluate_case(point)
         known = None if self.best is None else self.best.worst
-        self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
+        self._progress.advance(
+            1, "nothing yet" if known is None else known.describe_figure(self._goal)
+        )
         return np.inf if worst is None else -worst.score
 
-    def _evaluate_case(self, point: Floats) -> Worst | None:
+    def _evaluate_case(self, point: Floats) -> WorstStep | None:
+        """Replay the variant at a point, keep it if worst so far, and return its worst step."""
         try:
-            scenario = self._space.scenario(point)
+            scenario = self._space.build_variant(point)
             sequence = record_sequence(scenario)
         except CertificateError:
             # Without a certified loop there is nothing to judge by.
@@ -203,7 +204,7 @@ class Search:
             count, first = self.failures.get(outcome.outcome, (0, case))
             self.failures[outcome.outcome] = count + 1, first
             return None
-        worst = worst_of(evaluated, self._goal)
+        worst = find_worst_step(evaluated, self._goal)
         known = None if self.best is None else self.best.worst
         if worst is not None and (known is None or worst.objective > known.objective):
             self.best = Case(scenario, sequence, outcome, worst)

@@ -16,7 +16,6 @@ A run starts without force (method.md section 3), and is long enough to reach th
 """
 
 import copy
-from typing import Any
 
 import numpy as np
 
@@ -37,7 +36,7 @@ _WHEN, _FIRST_FAULT = 12, 13
 
 
 class SearchSpace:
-    """The variants of one scenario.
+    """The variants of a scenario that a search tries: start, speed, steady and sudden force.
 
     Parameters
     ----------
@@ -55,20 +54,16 @@ class SearchSpace:
         self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
         vessel = scenario.vessel
         self._force_kN = _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
-        self._first_fault_s = min((fault["at_s"] for fault in self._table["faults"]), default=None)
-
-    @property
-    def _table(self) -> dict[str, Any]:
-        table: dict[str, Any] = self._files["scenario"]
-        return table
+        faults = scenario.files["scenario"]["faults"]
+        self._first_fault_s = min((fault["at_s"] for fault in faults), default=None)
 
     @property
     def dimensions(self) -> int:
-        """Length d of a point."""
+        """Length d of a point of the search space."""
         return _FIRST_FAULT if self._first_fault_s is None else _FIRST_FAULT + 1
 
-    def scenario(self, point: Vector) -> Scenario:
-        """Return the variant at a point (d,) of [−1, 1]^d."""
+    def build_variant(self, point: Vector) -> Scenario:
+        """Return the scenario at a point (d,) of [−1, 1]^d."""
         files = copy.deepcopy(self._files)
         files["name"] = self._name
         table = files["scenario"]
@@ -92,7 +87,7 @@ class SearchSpace:
         weather["mean_kN"] = (point[_STEADY] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _time_of_share(point[_WHEN], duration_s, sample_s),
+                "start_s": _scale_to_time(point[_WHEN], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
@@ -100,12 +95,12 @@ class SearchSpace:
             }
         )
         if self._first_fault_s is not None:
-            later = _time_of_share(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
+            later = _scale_to_time(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
         return build_scenario(files, where=f"variant of {self._name}")
 
 
-def _time_of_share(share: float, duration_s: float, sample_s: float) -> float:
-    """Return the time from the first sample (−1) to the last (1) [s]."""
+def _scale_to_time(share: float, duration_s: float, sample_s: float) -> float:
+    """Return the time [s] of a share: −1 is the first sample, 1 the last."""
     return float(0.5 * (1.0 + share) * (duration_s - sample_s))

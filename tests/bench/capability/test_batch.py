@@ -16,7 +16,7 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
 from dpbench.bench.record.cell import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.capability_boundary import write_batch
+from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.referee.referee import certify_sequence
@@ -111,7 +111,7 @@ def test_a_batch_is_a_suite_that_runs_as_it_stands(
     frontier: CapabilityPlot, tmp_path: Path
 ) -> None:
     capability = made_up(frontier)
-    path, suite = load_suite(write_batch(frontier, capability, tmp_path / "new"))
+    path, suite = load_suite(write_capability_suite(frontier, capability, tmp_path / "new"))
     assert path.parent == tmp_path / "new"
     assert suite.recorded[0].sequence == "capability.npz"
     recorded = load_recorded(path.parent / "capability.npz")

@@ -66,7 +66,8 @@ def test_failures_on_either_side_are_mirror_images(circles: CapabilityPlot) -> N
 def test_a_stronger_wind_asks_for_more(circles: CapabilityPlot) -> None:
     for from_deg in (0.0, 45.0, 100.0, 160.0):
         uses = [
-            circles.best(INTACT, math.radians(from_deg), w)[0] for w in np.arange(2.0, 30.0, 4.0)
+            circles.best_choice(INTACT, math.radians(from_deg), w)[0]
+            for w in np.arange(2.0, 30.0, 4.0)
         ]
         assert (np.diff(uses) > 0.0).all()
 
@@ -89,12 +90,12 @@ def test_polygons_become_the_circle_with_order_two() -> None:
     vessel, wind_mps = load_vessel("osv"), 20.0
     directions = [math.radians(15.0 * k + 4.0) for k in range(24)]
     circle = np.array(
-        [CapabilityPlot(vessel).best(INTACT, angle, wind_mps)[0] for angle in directions]
+        [CapabilityPlot(vessel).best_choice(INTACT, angle, wind_mps)[0] for angle in directions]
     )
     gaps = []
     for sides in (8, 16, 32, 64):
         polygon = CapabilityPlot(vessel, sides)
-        use = np.array([polygon.best(INTACT, angle, wind_mps)[0] for angle in directions])
+        use = np.array([polygon.best_choice(INTACT, angle, wind_mps)[0] for angle in directions])
         assert (use >= circle * (1.0 - 1e-8)).all()
         assert (use <= circle / math.cos(math.pi / sides) * (1.0 + 1e-8)).all()
         gaps.append((use / circle).max() - 1.0)

@@ -175,7 +175,7 @@ def test_workers_that_join_late_are_given_tasks(
 ) -> None:
     monkeypatch.setattr(dask_engine, "REFRESH_S", 0.0)
     monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
-    submit, results, away = DaskEngine.submit, DaskEngine._results, [0, 0]
+    submit, results, away = DaskEngine.submit, DaskEngine._read_results, [0, 0]
 
     def counted(self: Any, batch: Any) -> Any:
         away[0] += 1
@@ -194,7 +194,7 @@ def test_workers_that_join_late_are_given_tasks(
 
     late: list[subprocess.Popen[bytes]] = []
     monkeypatch.setattr(DaskEngine, "submit", counted)
-    monkeypatch.setattr(DaskEngine, "_results", counted_back)
+    monkeypatch.setattr(DaskEngine, "_read_results", counted_back)
     try:
         given = {"engine": "dask", "scheduler": scheduler[0], "progress": Watching(1, join)}
         out = run_campaign(suite, tmp_path / "out", **given)

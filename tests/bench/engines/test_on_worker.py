@@ -21,7 +21,7 @@ from dpbench.bench.engines.on_worker import (
     run_cells,
 )
 from dpbench.bench.plan.run_request import RunRequest
-from dpbench.bench.workers.child import template_context
+from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
 from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import PREFIX, temporary_folder
@@ -85,7 +85,7 @@ def test_a_task_that_is_ended_leaves_nothing(
     jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The socket of the fork server stays as long as this process.
-    template_context([])
+    start_forkserver([])
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     running, ended = threading.Event(), threading.Event()
 

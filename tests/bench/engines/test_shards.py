@@ -12,7 +12,7 @@ from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.step_table import frame_of_runs, table_of_runs, write_runs
+from dpbench.bench.record.step_table import runs_from_frame, runs_to_frame, write_runs
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.solvers import plugins
@@ -69,7 +69,7 @@ def test_a_shard_that_was_killed_gives_what_it_finished(
     copies: list[Path], undisturbed: Path, tmp_path: Path
 ) -> None:
     killed = CellStore(copies[2])
-    CellStore(tmp_path / "parts").adopt(killed)
+    CellStore(tmp_path / "parts").copy_cells(killed)
     killed.public.remove()
     for part in (tmp_path / "parts" / "cells").iterdir():
         part.rename(killed.folder / part.name)
@@ -168,9 +168,9 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
     other = "ffffffffffff"
     machine = json.loads((copies[1] / SHARD_FILE).read_text())["machine"]
     public = CellStore(copies[1]).public
-    rows = frame_of_runs(public.table()).assign(machine_id=other)
+    rows = runs_to_frame(public.read_rows()).assign(machine_id=other)
     check = pq.read_metadata(public.runs).metadata[b"steps_crc32"].decode()
-    write_runs(public.runs, table_of_runs(rows), {"steps_crc32": check})
+    write_runs(public.runs, runs_from_frame(rows), {"steps_crc32": check})
     changed(copies[1], machine=machine | {"id": other})
     results = load_results(gather(copies, tmp_path / "out"))
     assert results.runs["run_id"].is_unique and set(results.runs["outcome"]) == {"finished"}
@@ -211,4 +211,4 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
 def test_what_is_no_shard_is_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"--shard: found .*1/4, with i from 1 to n"):
-        Shard.of_text(text)
+        Shard.from_text(text)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_results, load_scenario, record_sequence, run_campaign
-from dpbench.bench.judge.answer_caching import is_remembered, memory_metrics
+from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
@@ -196,12 +196,12 @@ def replayed(
     for r, times in enumerate(attempts):
         for attempt in range(times):
             clock.speed = 5.0 if r == slow_round and attempt == 0 else 1.0
-            assert configuration.round(r)
+            assert configuration.run_round(r)
     return log
 
 
 def ratio(log: RawLog) -> float:
-    return memory_metrics(log)["first_visit_ratio"]
+    return caching_metrics(log)["first_visit_ratio"]
 
 
 def row(first: float = np.nan, loop: float = np.nan) -> dict[str, float]:
@@ -225,7 +225,7 @@ def test_a_memory_of_hard_steps_is_marked(
     """The median of first visits over later ones is 1 for both."""
     log = replayed(make, sequence)
     log.counters[:] = 0.0
-    found = memory_metrics(log)
+    found = caching_metrics(log)
     assert found["first_visit_ratio"] == pytest.approx(1.0, rel=0.01)
     assert found["first_visit_excess"] == pytest.approx(0.25 if marked else 0.0)
     excess = found["first_visit_excess"]

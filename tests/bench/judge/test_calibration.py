@@ -83,7 +83,7 @@ def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
         log.counters[:] = np.arange(6.0)[:, None] * [1.0, 0.0, 10.0, 0.5, 0.0, 0.0]
         log.counters[0] = 1e6
 
-    monkeypatch.setattr(ReplayRun, "rounds", rounds)
+    monkeypatch.setattr(ReplayRun, "run_all_rounds", rounds)
     found = calibrate()
     assert found.p50_ns == {NO_OP: 4.0}
     seen = found.disturbance

@@ -142,7 +142,7 @@ def evaluations(cases: list[Case], own: QuadraticProgram | None = None) -> list[
     evaluator = StepEvaluator(base, own or base, Units(np.full(2, scale), np.ones(2)))
     for qp, answer in cases:
         step, given = (QPStep(one.q, one.l, one.u) for one in (qp, own or qp))
-        evaluator.add(step, given, answer, evaluator.certify(step))
+        evaluator.add_answer(step, given, answer, evaluator.certify(step))
     return [dict(zip(EVALUATION, row, strict=True)) for row in evaluator.evaluations()]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge.answer_caching import is_remembered, memory_metrics, with_loop_ratio
+from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered, with_loop_ratio
 from dpbench.bench.record.raw_log import COUNTERS
 
 NAN = math.nan
@@ -55,7 +55,7 @@ def _log(first: list[float], *rounds: list[float], warm_up: int = 0, **columns: 
 
 
 def _metrics(log: Any) -> tuple[float, float]:
-    found = memory_metrics(log)
+    found = caching_metrics(log)
     return found["first_visit_ratio"], found["first_visit_excess"]
 
 

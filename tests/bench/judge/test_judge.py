@@ -152,7 +152,7 @@ def test_a_malformed_answer_is_one_failed_step_of_a_round(name: str, recorded: Q
         clock=time.perf_counter_ns,
         preroll=0,
     )
-    assert configuration.round(0) and configuration.round(1)
+    assert configuration.run_round(0) and configuration.run_round(1)
     assert (log.status == Status.ERROR).sum(axis=1).tolist() == [1, 1]
     assert np.isnan(log.z[1, AT]).all()
     (detail,) = timed_solver.details

@@ -17,7 +17,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import PHASES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.worst_case.goal import worst_of
+from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.table import Availability
@@ -128,7 +128,7 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
     assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
     assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
-    worst = worst_of(evaluated, "error")
+    worst = find_worst_step(evaluated, "error")
     assert worst is not None and worst.objective == 0.0
 
 

@@ -80,7 +80,7 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
 
 
 @pytest.mark.parametrize(
-    ("spent_s", "clean_rounds", "budget_s", "budget_exhausted"),
+    ("spent_s", "clean_rounds", "budget_s", "is_budget_exhausted"),
     [
         (2.0, FEWEST_ROUNDS, 2.0, True),
         (1.99, FEWEST_ROUNDS, 2.0, False),
@@ -91,19 +91,19 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
     ],
 )
 def test_a_spent_budget_ends_a_replay_after_three_rounds(
-    spent_s: float, clean_rounds: int, budget_s: float, budget_exhausted: bool
+    spent_s: float, clean_rounds: int, budget_s: float, is_budget_exhausted: bool
 ) -> None:
-    assert worker(spent_s, clean_rounds, budget_s).budget_exhausted is budget_exhausted
+    assert worker(spent_s, clean_rounds, budget_s).is_budget_exhausted is is_budget_exhausted
     assert FEWEST_ROUNDS == 3
 
 
-@pytest.mark.parametrize(("clean_rounds", "budget_exhausted"), [(1, False), (2, True)])
+@pytest.mark.parametrize(("clean_rounds", "is_budget_exhausted"), [(1, False), (2, True)])
 def test_a_spent_budget_ends_a_window_after_two_rounds(
-    clean_rounds: int, budget_exhausted: bool
+    clean_rounds: int, is_budget_exhausted: bool
 ) -> None:
     found = worker(9.0, clean_rounds, 2.0)
     found.cell = replace(found.cell, source=HardestSource("x", 450))
-    assert found.budget_exhausted is budget_exhausted
+    assert found.is_budget_exhausted is is_budget_exhausted
 
 
 @pytest.mark.parametrize(
@@ -142,5 +142,5 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
     delay = find_delay(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
-    assert delay.samples_late(latency_ns) == samples
+    assert delay.count_samples_late(latency_ns) == samples
     assert delay.latency_ns(50) == 150

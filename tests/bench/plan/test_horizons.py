@@ -11,7 +11,7 @@ from dpbench import load_results, load_scenario, open_workspace, record_sequence
 from dpbench import run_campaign as run
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_suite
-from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -128,7 +128,7 @@ def test_a_loop_keeps_the_optimum_of_every_step(
     exact = solve_exactly(scenario)
     exact.save(tmp_path / "exact.npz")
     kept = ExactLoop.load(tmp_path / "exact.npz").optima
-    sequence = sequence_of(scenario, exact)
+    sequence = rebuild_sequence(scenario, exact)
     assert len(kept) == len(sequence) == 6
     for k, optimum in enumerate(kept):
         again = certify(sequence.base.at(sequence.step(k)))

@@ -29,12 +29,12 @@ from dpbench.bench.record.schema import (
 from dpbench.bench.record.step_table import (
     BatchPart,
     batch_part,
-    columns_of,
+    build_runs_table,
     complete_steps,
-    concat_runs,
-    filter_runs,
+    concat_steps,
+    filter_steps,
     no_steps,
-    runs_table,
+    rows_to_columns,
     step_batch,
 )
 from dpbench.bench.tabulate import RequestedRuns, tabulate
@@ -80,7 +80,7 @@ def filled(out: Path, *names: str) -> CellStore:
     """A store with those cells, each in a part of its own."""
     store = CellStore(out)
     for seed, name in enumerate(names):
-        store.add(part(name, seed=seed))
+        store.add_part(part(name, seed=seed))
     return store
 
 
@@ -89,17 +89,17 @@ def write_public(out: Path, *names: str) -> None:
     store = CellStore(out)
     steps = StepFile(out / "steps.part")
     for seed, name in enumerate(names):
-        steps.add(concat_runs({name: step_batch(steps_of(seed))}))
-    store.public.write(runs_table(columns_of([row_of(name) for name in names])), steps)
+        steps.add(concat_steps({name: step_batch(steps_of(seed))}))
+    store.public.write(build_runs_table(rows_to_columns([row_of(name) for name in names])), steps)
 
 
 def tables_of(store: CellStore) -> list[pa.Table]:
     """The steps that the store gives, run by run."""
-    _, sources = store.collect()
-    tables = [group.table() for group in store.groups(sources)]
+    _, sources = store.collect_rows()
+    tables = [group.read_table() for group in store.find_groups(sources)]
     names = [name for table in tables for name in table["run_id"].unique().to_pylist()]
     assert len(names) == len(set(names))
-    return [filter_runs(t, {n}) for t in tables for n in t["run_id"].unique().to_pylist()]
+    return [filter_steps(t, {n}) for t in tables for n in t["run_id"].unique().to_pylist()]
 
 
 def names_in(store: CellStore) -> list[str]:
@@ -110,7 +110,7 @@ def names_in(store: CellStore) -> list[str]:
 def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
-    file.add(concat_runs({"a": step_batch(steps)}))
+    file.add(concat_steps({"a": step_batch(steps)}))
     file.close()
     found = as_steps(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
     pd.testing.assert_frame_equal(found, step_rows("a", steps), check_exact=True)
@@ -120,7 +120,7 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
-        file.add(concat_runs({name: step_batch(steps_of(seed))}))
+        file.add(concat_steps({name: step_batch(steps_of(seed))}))
     file.close()
     tables = list(scan_steps(tmp_path, ["run_id", "dtau_x_N", "t_s"]))
     assert [table.num_rows for table in tables] == [14, 14, 7]
@@ -133,17 +133,17 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 
 def test_of_no_runs_nothing_is_held() -> None:
-    table = concat_runs({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
-    assert filter_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
-    nothing = filter_runs(table, {"c"})
+    table = concat_steps({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
+    assert filter_steps(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
+    nothing = filter_steps(table, {"c"})
     assert nothing.schema.equals(table.schema) and len(nothing) == 0
     assert nothing.get_total_buffer_size() < 100 < table.get_total_buffer_size()
 
 
 def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
-    store.add(part("old", schema=SCHEMA_VERSION - 1))
-    store.add(part("new", seed=1))
+    store.add_part(part("old", schema=SCHEMA_VERSION - 1))
+    store.add_part(part("new", seed=1))
     again = CellStore(tmp_path)
     assert again.finished == {"new": "finished"} and names_in(again) == ["new"]
 
@@ -154,9 +154,11 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
     steps = step_batch(steps_of(0))
-    CellStore(tmp_path).add(batch_part({name: (row, steps) for name, row in rows.items()}))
+    CellStore(tmp_path).add_part(batch_part({name: (row, steps) for name, row in rows.items()}))
     store = CellStore(tmp_path)
-    assert list(store.finished) == list(store.rows().index) == ["a", "c"] == names_in(store)
+    assert (
+        list(store.finished) == list(store.finished_runs().index) == ["a", "c"] == names_in(store)
+    )
 
 
 @pytest.mark.parametrize("at", [0, 10, -100, -1])
@@ -168,7 +170,7 @@ def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) ->
     data[at] ^= 1
     path.write_bytes({"flipped": data, "cut": data[:at], "empty": b""}[how])
     for seen in (store, CellStore(tmp_path)):
-        assert list(seen.rows().index) == names_in(seen) == ["a", "c"]
+        assert list(seen.finished_runs().index) == names_in(seen) == ["a", "c"]
     assert list(CellStore(tmp_path).finished) == ["a", "c"]
 
 
@@ -182,16 +184,16 @@ def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(OSError, match="no room"):
-            store.add(part("b", seed=1))
+            store.add_part(part("b", seed=1))
     assert len(list((tmp_path / "cells").iterdir())) == 1
-    store.add(part("c", seed=2))
+    store.add_part(part("c", seed=2))
     assert list(store.finished) == ["a", "c"] == list(CellStore(tmp_path).finished)
 
 
 def test_a_batch_is_one_file(tmp_path: Path) -> None:
     store, batch = CellStore(tmp_path), part("a", "b")
     for _ in range(2):
-        store.add(batch)
+        store.add_part(batch)
     (path,) = (tmp_path / "cells").iterdir()
     assert path.read_bytes() == batch.data
     steps = pq.read_table(path)
@@ -202,8 +204,8 @@ def test_a_batch_is_one_file(tmp_path: Path) -> None:
 def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
     crashed = row_of("c", outcome="crashed", steps_done=0), no_steps()
-    store.add(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
-    store.add(batch_part({"d": (row_of("d", steps_done=0), no_steps())}))
+    store.add_part(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
+    store.add_part(batch_part({"d": (row_of("d", steps_done=0), no_steps())}))
     assert CellStore(tmp_path).finished == {"a": "finished", "c": "crashed", "d": "finished"}
     assert names_in(store) == ["a"]
 
@@ -214,33 +216,33 @@ def test_tables_of_parts_are_joined(
 ) -> None:
     monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
     store = filled(tmp_path, "a", "b", "c")
-    rows, sources = store.collect()
+    rows, sources = store.collect_rows()
     file = StepFile(tmp_path / "steps.part")
-    for group in store.groups(sources):
+    for group in store.find_groups(sources):
         assert group.may_copy == (copied_rows == 1)
-        if not file.copy(group):
-            file.add(group.table())
+        if not file.copy_group(group):
+            file.add(group.read_table())
     store.public.write(rows, file)
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
     assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
     found = complete_steps(groups.read())
     batches = {name: step_batch(steps_of(seed)) for seed, name in enumerate("abc")}
-    assert found.equals(complete_steps(concat_runs(batches)))
+    assert found.equals(complete_steps(concat_steps(batches)))
     assert store.public.is_sound() and list(store.public.outcomes()) == ["a", "b", "c"]
 
 
 @pytest.fixture
 def twice(tmp_path: Path) -> Iterator[CellStore]:
     """A cell in two parts, as after a kill while parts were being put together."""
-    CellStore(tmp_path).add(part("a", "b"))
-    CellStore(tmp_path).add(part("b", seed=9, steps_done=9))
+    CellStore(tmp_path).add_part(part("a", "b"))
+    CellStore(tmp_path).add_part(part("b", seed=9, steps_done=9))
     yield CellStore(tmp_path)
 
 
 def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
     assert names_in(twice) == ["a", "b"]
-    assert twice.rows().loc["b", "steps_done"] == 9
+    assert twice.finished_runs().loc["b", "steps_done"] == 9
     last = tables_of(twice)[1]
     assert last["gap"].to_pylist()[1:] == steps_of(9)["gap"].tolist()[1:]
 
@@ -248,9 +250,9 @@ def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
 def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> None:
     filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
-    store.forget(["a", "b"])
-    store.add(part("b", seed=9))
-    assert set(store.finished) == set(store.rows().index) == {"b", "c"}
+    store.mark_unfinished(["a", "b"])
+    store.add_part(part("b", seed=9))
+    assert set(store.finished) == set(store.finished_runs().index) == {"b", "c"}
     assert sorted(names_in(store)) == ["b", "c"]
 
 
@@ -271,9 +273,9 @@ def test_of_a_damaged_file_the_groups_that_can_be_read_count(
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
     write_public(tmp_path, "a")
     store = CellStore(tmp_path)
-    store.add(part("b", seed=1))
+    store.add_part(part("b", seed=1))
     both = StepFile(tmp_path / "steps.parquet")
-    both.add(concat_runs({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
+    both.add(concat_steps({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
     both.close()
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
@@ -285,14 +287,14 @@ COPIES += ("part-00001{}.sync-conflict-20261122-101500-ABCDEFG.parquet",)
 
 
 def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
-    CellStore(tmp_path).add(part("a", "b"))
+    CellStore(tmp_path).add_part(part("a", "b"))
     (source,) = (tmp_path / "cells").iterdir()
     copies = [source.with_name(name.format(source.stem[10:])) for name in COPIES]
     for copy in copies:
         copy.write_bytes(source.read_bytes())
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
-    store.add(part("c"))
+    store.add_part(part("c"))
     assert [one.steps.name[:11] for one in store.parts] == ["part-00001-", "part-00002-"]
     (remark,) = store.remarks
     assert "ignored 'part-00001-" in remark and " and 5 more" in remark
@@ -348,5 +350,5 @@ def test_tables_are_on_the_disk_before_the_parts_go(
 
 
 def test_a_shard_without_cells_has_a_table_without_rows() -> None:
-    rows = RequestedRuns([]).rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    rows = RequestedRuns([]).make_rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
     assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

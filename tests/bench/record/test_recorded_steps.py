@@ -14,7 +14,7 @@ from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import StepFile
 from dpbench.bench.record.recorded_steps import StepsInMemory, StepsOnDisk, StepTable
 from dpbench.bench.record.schema import MISSING_INT, STEP_COLUMNS
-from dpbench.bench.record.step_table import concat_runs, step_batch
+from dpbench.bench.record.step_table import concat_steps, step_batch
 from dpbench.errors import ResultsError
 from tests.bench.record.test_cell_store import steps_of
 
@@ -28,7 +28,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 14)
     file = StepFile(tmp_path / "steps.parquet")
     for seed, name in enumerate(NAMES):
-        file.add(concat_runs({name: step_batch(steps_of(seed))}))
+        file.add(concat_steps({name: step_batch(steps_of(seed))}))
     file.close()
     return tmp_path
 
@@ -42,7 +42,7 @@ def _same(one: pd.DataFrame, other: pd.DataFrame) -> None:
 
 def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
     file = StepsOnDisk(folder)
-    memory = StepsInMemory(file.frame())
+    memory = StepsInMemory(file.read_all())
     assert file.rows == memory.rows == 7 * len(NAMES)
 
     def together(table: StepTable, wanted: set[str] | None) -> pd.DataFrame:
@@ -51,9 +51,9 @@ def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
     for wanted in (None, {"b"}, {"d", "a", "nobody"}):
         _same(together(file, wanted), together(memory, wanted))
     for name in NAMES:
-        _same(file.of(name, ASKED), memory.of(name, ASKED))
-    assert list(file.of("nobody", ASKED).columns) == list(ASKED)
-    assert len(file.of("nobody")) == len(memory.of("nobody")) == 0
+        _same(file.read_run(name, ASKED), memory.read_run(name, ASKED))
+    assert list(file.read_run("nobody", ASKED).columns) == list(ASKED)
+    assert len(file.read_run("nobody")) == len(memory.read_run("nobody")) == 0
     assert not list(file.scan(ASKED, {"nobody"})) + list(memory.scan(ASKED, {"nobody"}))
 
 
@@ -78,7 +78,7 @@ def test_only_what_is_asked_for_is_read(folder: Path, monkeypatch: pytest.Monkey
     list(steps.scan(("k", "total_ns"), {"e", "a"}))
     assert read == [(0, {"run_id", "k", "total_ns"}), (2, {"run_id", "k", "total_ns"})]
     for name in ("c", "d", "c"):
-        steps.of(name, ("k",))
+        steps.read_run(name, ("k",))
     assert len(read) == 3, "neighbours are in the row group that was read last"
 
 
@@ -86,7 +86,7 @@ def test_a_column_that_is_in_no_file_is_missing(folder: Path) -> None:
     path = folder / "steps.parquet"
     table = pq.read_table(path)
     pq.write_table(table.drop_columns(["gap", "latency_ns", "status", "late"]), path)
-    found = StepsOnDisk(folder).frame()
+    found = StepsOnDisk(folder).read_all()
     assert list(found.columns) == list(STEP_COLUMNS)
     assert found["gap"].isna().all() and found["latency_ns"].isna().all()
     assert (found["status"] == "").all() and not found["late"].any()
@@ -108,10 +108,10 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
 
 
 def test_what_pandas_noted_is_not_followed(folder: Path) -> None:
-    path, wanted = folder / "steps.parquet", StepsOnDisk(folder).frame()
+    path, wanted = folder / "steps.parquet", StepsOnDisk(folder).read_all()
     noted = pq.read_table(path).replace_schema_metadata({"pandas": '{"index_columns": ["'})
     pq.write_table(noted, path)
-    pd.testing.assert_frame_equal(StepsOnDisk(folder).frame(), wanted)
+    pd.testing.assert_frame_equal(StepsOnDisk(folder).read_all(), wanted)
 
 
 def test_damage_is_said_where_it_is_read(folder: Path) -> None:

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from dpbench.bench.record.machine import (
+    append_revision,
     checkout_revision,
     describe_revisions,
     installed_revision,
-    revisions,
 )
 
 
@@ -59,7 +59,7 @@ def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPa
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
     old, new = {"commit": "a" * 40, "clean": True}, {"commit": "b" * 40, "clean": False}
-    both = revisions([new, old], new)
-    assert both == [old, new] and revisions([], {}) == []
+    both = append_revision([new, old], new)
+    assert both == [old, new] and append_revision([], {}) == []
     assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
     assert describe_revisions({}) == ""

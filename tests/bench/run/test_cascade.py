@@ -18,7 +18,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.sequences.source import log_size
@@ -283,7 +283,7 @@ def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units: str) -> None:
-    sequence = sequence_of(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
+    sequence = rebuild_sequence(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
     assert (sequence.name, len(sequence)) == ("thrusters_cascade-allocation[7:27]", 20)
     assert sequence.sparse_equivalent is None
     workspace = open_workspace("daqp", route="native", policy="warm", settings="high")
@@ -291,7 +291,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
     run = ReplayRun(
         steps, solver, log, warmup_steps=5, limit_ns=NO_LIMIT_NS, clock=time.perf_counter_ns
     )
-    assert run.round(0) and run.round(1)
+    assert run.run_round(0) and run.run_round(1)
     evaluated = evaluate_sequence(log, sequence, case.sample_s, exact.allocated[7:27])
     errors = evaluated.columns["evaluations"]
     assert errors[:, 10].all()
@@ -301,7 +301,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
 def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
     for other in (load_scenario("calm").first(2), scenario(2, allocation="pseudo_inverse")):
         with pytest.raises(InputError, match="a cascade with allocation"):
-            sequence_of(other, solve_exactly(other), part="allocation")
+            rebuild_sequence(other, solve_exactly(other), part="allocation")
 
 
 def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:

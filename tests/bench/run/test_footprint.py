@@ -30,7 +30,7 @@ def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
     made, formulated = replay_formulation("condensed_box", _sequence(n))
     timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
     timed_solver.prepare()
-    return footprint.measure_steps(made, timed_solver, 10)
+    return footprint.measure_step_memory(made, timed_solver, 10)
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
@@ -71,13 +71,17 @@ def test_a_library_that_leaks_is_seen() -> None:
 def test_nothing_is_measured_without_a_step() -> None:
     log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
     log.times[:] = -1
-    assert footprint.affordable_steps(log) == 30
+    assert footprint.count_affordable_steps(log) == 30
     log.times[1, 7, 3] = 10_000_000
-    assert footprint.affordable_steps(log) == 5, "a fifth of a second in four passes of 10 ms steps"
+    assert footprint.count_affordable_steps(log) == 5, (
+        "a fifth of a second in four passes of 10 ms steps"
+    )
     log.times[1, 7, 3] = 2_000_000_000
-    assert footprint.affordable_steps(log) == 0
+    assert footprint.count_affordable_steps(log) == 0
     timed_solver: Any = None
-    assert all(math.isnan(value) for value in footprint.measure_steps(_sequence(), timed_solver, 0))
+    assert all(
+        math.isnan(value) for value in footprint.measure_step_memory(_sequence(), timed_solver, 0)
+    )
 
 
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
@@ -96,7 +100,7 @@ def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
 
 
 def test_threads_are_counted() -> None:
-    running, allowed = footprint.threads()
+    running, allowed = footprint.count_threads()
     assert running >= 1 and allowed >= 1
 
 
@@ -107,7 +111,7 @@ def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
     memory.record_load(log)
     left = np.ones(64 * MEGABYTE, dtype=np.uint8)
     assert memory.peak_bytes() > 60 * MEGABYTE
-    memory.begin_again()
+    memory.begin_replay()
     memory.record_setup()
     memory.record_load(log)
     assert memory.peak_bytes() < 32 * MEGABYTE

@@ -11,7 +11,7 @@ import pytest
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.control_metrics import axis_limit_metrics, control_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
-from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.specification import FIXED_MODEL
@@ -132,7 +132,7 @@ def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> 
     """Every step of a turn brings P: the same one in `turn`, others in `turn_unequal`."""
     for name, same in (("turn", True), ("turn_unequal", False)):
         scenario = load_scenario(name)
-        sequence = sequence_of(scenario, exact(name), first=100, count=100)
+        sequence = rebuild_sequence(scenario, exact(name), first=100, count=100)
         assert sequence.P is not None
         assert bool(np.ptp(sequence.P, axis=0).max() == 0) is same
 

@@ -19,9 +19,15 @@ from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.slow_computer import never_preempted
-from dpbench.bench.run.timed_solver import HANG_DETAIL, RunDelay, TimedSolver, run_delay, step_alarm
+from dpbench.bench.run.timed_solver import (
+    HANG_DETAIL,
+    RunDelay,
+    TimedSolver,
+    get_run_delay,
+    step_alarm,
+)
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -60,7 +66,7 @@ class Spinning(Workspace):
 def timed(workspace: Workspace) -> TimedSolver:
     one = np.ones(1)
     problem = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)
-    return TimedSolver(workspace, Box(problem), time.perf_counter_ns)
+    return TimedSolver(workspace, BoxFormulation(problem), time.perf_counter_ns)
 
 
 STEP = QPStep(np.ones(1), -np.ones(1), np.ones(1))
@@ -264,11 +270,11 @@ def test_sleep_is_no_wait_for_the_core() -> None:
 
 def test_a_thread_has_its_own() -> None:
     others: list[RunDelay] = []
-    thread = threading.Thread(target=lambda: others.append(run_delay()))
+    thread = threading.Thread(target=lambda: others.append(get_run_delay()))
     thread.start()
     thread.join()
-    assert run_delay() is run_delay()
-    assert others[0] is not run_delay()
+    assert get_run_delay() is get_run_delay()
+    assert others[0] is not get_run_delay()
 
 
 def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

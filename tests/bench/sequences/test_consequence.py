@@ -18,7 +18,11 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.sequences.loop_sequences import AVERAGE_S, consequence_sequence, required_force
+from dpbench.bench.sequences.loop_sequences import (
+    AVERAGE_S,
+    average_force,
+    build_consequence_sequence,
+)
 from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
@@ -120,7 +124,7 @@ def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
     tau = np.outer(np.arange(1, 13), [0.0, 3e5, 0.0])
     kinds = {}
     for group in ("all", "bow 2"):
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         assert (sequence.P, sequence.A, sequence.base.n, sequence.base.m) == (None, None, 8, 29)
         kinds[group] = [certify(sequence.problem(k)).kind for k in range(12)]
     assert set(kinds["all"]) == {"infeasible"}
@@ -131,10 +135,10 @@ def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
     """A steady force is approached by 1 − exp(−t/60 s); wave forces hardly remain."""
     sample_s, steps = 0.3, 800
     t = sample_s * np.arange(1, steps + 1)
-    steady = required_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
+    steady = average_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
     approach = 1.0 - np.exp(-t / AVERAGE_S)
     np.testing.assert_allclose(steady, approach[:, None] * [1e5, -2e5, 3e6], rtol=1e-12)
-    waves = required_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
+    waves = average_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
     assert np.abs(waves[400:]).max() < 0.05
 
 
@@ -149,7 +153,7 @@ def test_what_the_run_has_lost_stays_lost() -> None:
     }
     tau = np.tile([1e3, 0.0, 0.0], (case.steps, 1))
     for group in GROUPS:
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         for k in (fault - 1, fault):
             qp = sequence.problem(k)
             lost = entries[group] | (entries["board A"] if k == fault else False)
@@ -164,7 +168,7 @@ def test_a_cascade_has_an_analysis_too() -> None:
     thrusters = case.controller.commanded.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
     for group in thrusters.groups:
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         assert sequence.base.n == thrusters.n_f
         kinds = [certify(sequence.problem(k)).kind == "infeasible" for k in range(2)]
         assert kinds == [False, True]
@@ -206,7 +210,7 @@ def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
     for cell, group in zip(cells, GROUPS, strict=True):
         found = read_replay(cell, tmp_path / "loop.npz")
-        whole = consequence_sequence(case, exact.tau, group)
+        whole = build_consequence_sequence(case, exact.tau, group)
         np.testing.assert_array_equal(found.sequence.l, whole.l[3:8])
         np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])
         assert (found.sequence.name, found.sample_s) == (cell.sequence, 0.3)

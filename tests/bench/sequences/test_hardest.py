@@ -11,10 +11,10 @@ from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.bench.sequences.loop_sequences import (
-    active_limits,
+    find_active_limits,
     find_hardest_window,
-    hardest_window,
-    hardness,
+    find_window_start,
+    measure_hardness,
 )
 from dpbench.bench.sequences.source import read_replay, source_file
 from dpbench.errors import InputError
@@ -43,15 +43,15 @@ HARDNESS = [0, 1 + 1, 2 + 1, 3 + 2, 6, 1 + 1]
 
 
 def test_hardness_counts_active_limits_and_their_changes() -> None:
-    active = active_limits(TABLE)
+    active = find_active_limits(TABLE)
     np.testing.assert_array_equal(active, ACTIVE)
     feasible = np.array([True, True, True, True, False, True])
-    np.testing.assert_array_equal(hardness(active, feasible), HARDNESS)
+    np.testing.assert_array_equal(measure_hardness(active, feasible), HARDNESS)
 
 
 def test_before_the_first_step_no_limit_is_active() -> None:
     active = np.array([[1, 1, -1], [1, 1, -1]])
-    np.testing.assert_array_equal(hardness(active, np.array([True, True])), [6, 3])
+    np.testing.assert_array_equal(measure_hardness(active, np.array([True, True])), [6, 3])
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_before_the_first_step_no_limit_is_active() -> None:
 def test_the_window_holds_the_hardest_step_and_most_hardness(
     hard: list[int], steps: int, first: int
 ) -> None:
-    assert hardest_window(np.array(hard, dtype=float), steps) == first
+    assert find_window_start(np.array(hard, dtype=float), steps) == first
 
 
 def test_the_window_is_chosen_within_its_stretch() -> None:

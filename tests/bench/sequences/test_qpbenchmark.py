@@ -12,7 +12,7 @@ import pytest
 from dpbench import InputError, Solution, Status, load_scenario, residuals
 from dpbench.bench.sequences.export import export
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
@@ -67,7 +67,7 @@ def qpbenchmark() -> Any:
 @pytest.mark.parametrize("kind", ["paper_tight", "mixed"])
 def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path) -> None:
     tight = kind == "paper_tight"
-    recorded = record(load_scenario(kind), steps=24, every=3) if tight else mixed()
+    recorded = record_scenario(load_scenario(kind), steps=24, every=3) if tight else mixed()
     _, code = save_qpbenchmark(tmp_path / "dp_set.py", recorded)
     kept: dict[tuple[str, str], Any] = {}
 

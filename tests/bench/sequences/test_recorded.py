@@ -13,10 +13,10 @@ from scipy.sparse import csc_matrix
 from dpbench import InputError, load_results, load_scenario, run_campaign, save_sequence
 from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import RecordedTable, SuiteFile, sequence_suite
+from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.sequences.qpsolvers_files import read_folder
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.qpsolvers_files import read_problems
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import certify_sequence
 from dpbench.report.write import write_report
@@ -58,7 +58,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_files_come_in_natural_order_with_the_optima_of_a_hand_calculation(folder: Path) -> None:
     """Equality rows, a singular P and a fixed variable are read, certified, and 2 is before 10."""
-    sequence = read_folder(folder)
+    sequence = read_problems(folder)
     assert (sequence.name, len(sequence), sequence.P, sequence.lb) == ("robot", 3, None, None)
     assert sequence.base.l.tolist() == [-np.inf, 3.0]
     assert sequence.q[:, 0].tolist() == [0.75, 0.5, -2.0]
@@ -71,7 +71,7 @@ def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
     other = hand_made(0.5)
     other.P, other.ub = 2.0 * other.P, np.array([9.0, 8.0, 0.5])
     other.save(str(folder / "step_10.npz"))
-    sequence = read_folder(folder)
+    sequence = read_problems(folder)
     assert sequence.P is not None and sequence.ub is not None and sequence.A is None
     assert sequence.P[:, 0, 0].tolist() == [1.0, 2.0, 1.0]
     assert sequence.ub[:, 1].tolist() == [9.0, 8.0, 9.0]
@@ -81,12 +81,12 @@ def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
 
 def test_a_problem_without_rows_or_bounds_is_read(tmp_path: Path) -> None:
     Problem(np.eye(2), np.array([1.0, -2.0])).save(str(tmp_path / "0.npz"))
-    sequence = read_folder(tmp_path)
+    sequence = read_problems(tmp_path)
     assert sequence.base.m == 0 and np.isinf(sequence.base.lb).all()
     np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.0, 2.0], atol=1e-12)
     G, h = np.array([1.0, 1.0]), np.array([0.0])
     Problem(np.eye(2), np.array([1.0, -2.0]), G, h).save(str(tmp_path / "0.npz"))
-    sequence = read_folder(tmp_path)
+    sequence = read_problems(tmp_path)
     assert sequence.base.m == 1
     np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.5, 1.5], atol=1e-12)
 
@@ -126,7 +126,7 @@ def test_a_bad_problem_is_one_line(
         arrays = {name: data[name] for name in data.files}
     np.savez(folder / "step_10.npz", **change(arrays))
     with pytest.raises(InputError) as caught:
-        read_folder(folder)
+        read_problems(folder)
     message = str(caught.value)
     assert "\n" not in message
     assert all(part in message for part in ["step_10.npz", *parts]), message
@@ -175,7 +175,7 @@ def test_our_own_file_runs_from_the_command_line(
 @pytest.mark.slow
 def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
     """Optima that a file claims with a bound of 0 are certified again by whoever replays it."""
-    recorded = record(load_scenario("paper"), steps=3)
+    recorded = record_scenario(load_scenario("paper"), steps=3)
     assert recorded.optima is not None
     false = [type(o)(o.z + 1.0, o.y, o.y_box, 0.0, o.kind) for o in recorded.optima]
     save_sequence(tmp_path / "false.npz", recorded.sequence, false)
@@ -184,7 +184,7 @@ def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> None:
-    suite = sequence_suite(folder)
+    suite = build_sequence_suite(folder)
     before = plan(suite, solvers=["daqp"])[0].cell
     assert Cell.from_json(before.to_json()).to_json() == before.to_json()
     hand_made(3.0).save(str(folder / "step_11.npz"))

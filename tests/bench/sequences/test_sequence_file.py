@@ -21,7 +21,7 @@ from dpbench import (
     record_sequence,
 )
 from dpbench.bench.record.npz import write_npz
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.errors import ShapeError
@@ -238,7 +238,7 @@ def test_a_file_may_call_infeasible_what_is_so_by_rounding_only() -> None:
 
 
 def saved(scenario: str, path: Path) -> Path:
-    record(load_scenario(scenario), steps=5).save(path)
+    record_scenario(load_scenario(scenario), steps=5).save(path)
     return path
 
 
@@ -258,7 +258,7 @@ def test_what_is_read_is_what_the_builder_makes_in_si(scenario: str, tmp_path: P
 def test_read_in_si_and_written_it_is_the_same_file(tmp_path: Path) -> None:
     path = saved("paper", tmp_path / "one.npz")
     again = tmp_path / "two.npz"
-    documents = record(load_scenario("paper"), steps=5).documents
+    documents = record_scenario(load_scenario("paper"), steps=5).documents
     save_sequence(again, load_sequence(path, units="si"), documents=documents)
     assert again.read_bytes() == path.read_bytes()
 

@@ -15,14 +15,14 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile
 from dpbench.bench.record.npz import write_npz
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
-from dpbench.bench.sequences.shipped import manifest_path, regenerate, stored_rules
+from dpbench.bench.sequences.shipped import load_rules, manifest_path, record_shipped_sequences
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import Referee
 from dpbench.scenario.problem_files import problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario
 
 Arrays = dict[str, Any]
-RULES = {rule.name: rule for rule in stored_rules()}
+RULES = {rule.name: rule for rule in load_rules()}
 NAMES = problem_names("sequences")
 SMALL = ("paper-30-5", "wrap-30-5")
 CLOSE = 1e-9
@@ -95,7 +95,7 @@ def test_sampled_optima_are_found_again(name: str) -> None:
 
 @pytest.mark.slow
 def test_small_ones_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
-    said = regenerate(tmp_path / "a", [RULES[name] for name in SMALL])
+    said = record_shipped_sequences(tmp_path / "a", [RULES[name] for name in SMALL])
     assert said.startswith(f"{tmp_path / 'a'}: 2 sequences, ")
     for name in SMALL:
         made, stored = arrays_of(tmp_path / "a" / f"{name}.npz"), arrays_of(sequence_path(name))
@@ -128,10 +128,10 @@ def test_a_manifest_that_leaves_out_what_it_has_not_is_refused(tmp_path: Path) -
     bad = tmp_path / "manifest.toml"
     bad.write_text(text + '\n[[left_out]]\nsequences = ["papr-30-5"]\nreason = "x"\n', "utf-8")
     with pytest.raises(InputError, match=r"left_out.sequences: found 'papr-30-5'"):
-        stored_rules(bad)
+        load_rules(bad)
     bad.write_text(text.replace("title", "titel", 1), "utf-8")
     with pytest.raises(InputError, match="titel"):
-        stored_rules(bad)
+        load_rules(bad)
 
 
 def test_check_certifies_every_step_again(

@@ -20,7 +20,7 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
+from dpbench.bench.record.raw_log import RawLog, is_writable_log, replay_layout
 from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import is_readable, source_file
@@ -211,11 +211,11 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
     child = supervise.ServingChild(
-        supervise.template_context([]), print, ("bye",), tmp_path, "a", limit_s=1.0
+        supervise.start_forkserver([]), print, ("bye",), tmp_path, "a", limit_s=1.0
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)
-    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).serve(worker, 1)
+    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).run_round(worker, 1)
     assert not worker.serving
 
 
@@ -362,7 +362,7 @@ def test_a_damaged_source_is_made_anew(copied: Path) -> None:
 def test_a_source_damaged_after_it_was_looked_at(
     times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, left, take = copied / "out", [times], Dispatcher._take_sources
+    out, left, take = copied / "out", [times], Dispatcher._record_sources
     forget_cells(out)
 
     def damaged(self: Dispatcher, results: Sequence[Result]) -> None:
@@ -372,7 +372,7 @@ def test_a_source_damaged_after_it_was_looked_at(
         left[0] -= 1
 
     with monkeypatch.context() as patch:
-        patch.setattr(Dispatcher, "_take_sources", damaged)
+        patch.setattr(Dispatcher, "_record_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0
@@ -415,7 +415,7 @@ def test_damaged_cells_run_again(table: str, copied: Path) -> None:
 def test_parts_damaged_while_the_campaign_runs_are_lost(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, write = copied / "out", Campaign.write
+    out, write = copied / "out", Campaign.write_results
     forget_cells(out)
 
     def late(self: Campaign, *rest: object) -> None:
@@ -423,7 +423,7 @@ def test_parts_damaged_while_the_campaign_runs_are_lost(
         write(self, *rest)  # type: ignore[arg-type] # passed on
 
     with monkeypatch.context() as patch:
-        patch.setattr(Campaign, "write", late)
+        patch.setattr(Campaign, "write_results", late)
         lost = run(copied / "tiny.toml", out)
     assert 1 <= lost <= 2 and outcomes(out) == ["finished"] * (3 - lost) + ["lost"] * lost
     assert run(copied / "tiny.toml", out) == 0
@@ -442,7 +442,7 @@ def test_a_finished_campaign_removes_folders_of_killed_ones(
 
 
 def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, where = copied / "out", scratch.Scratch.folder
+    out, where = copied / "out", scratch.Scratch.choose_folder
     failing = load_results(out).runs["run_id"].iloc[[0, 2]]
     forget_cells(out)
 
@@ -453,7 +453,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
         return folder
 
     with monkeypatch.context() as patch:
-        patch.setattr(scratch.Scratch, "folder", spoilt)
+        patch.setattr(scratch.Scratch, "choose_folder", spoilt)
         assert run(copied / "tiny.toml", out) == 2
     assert outcomes(out) == ["lost", "finished", "lost"]
     details = load_results(out).runs["outcome_detail"]
@@ -465,7 +465,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
 def test_without_room_for_its_part_a_cell_is_lost(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, add = tmp_path / "out", CellStore.add
+    out, add = tmp_path / "out", CellStore.add_part
 
     def full(self: CellStore, part: BatchPart) -> None:
         refused.add(part.data)
@@ -475,7 +475,7 @@ def test_without_room_for_its_part_a_cell_is_lost(
 
     refused: set[bytes] = set()
     with monkeypatch.context() as patch:
-        patch.setattr(CellStore, "add", full)
+        patch.setattr(CellStore, "add_part", full)
         assert run(suite, out) == 1
     runs = load_results(out).runs
     assert sorted(runs["outcome"]) == ["finished", "finished", "lost"]
@@ -487,9 +487,9 @@ def test_a_log_has_its_room_or_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.raw"
     RawLog.create(path, replay_layout(1, 50, 3, 3))
     size = path.stat().st_size
-    assert 512 * path.stat().st_blocks >= size and is_whole(path)
+    assert 512 * path.stat().st_blocks >= size and is_writable_log(path)
     os.truncate(path, size - 1)
-    assert not is_whole(path)
+    assert not is_writable_log(path)
     with pytest.raises(OSError, match=r"."):
         RawLog.create(
             tmp_path / "b.raw", replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}

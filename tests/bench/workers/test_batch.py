@@ -9,7 +9,7 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.workers.jobs import CellJob, cell_batches
+from dpbench.bench.workers.jobs import CellJob, split_into_batches
 from dpbench.solvers import plugins
 from dpbench.solvers.table import Availability
 from tests.bench.deterministic import deterministic, head
@@ -119,7 +119,7 @@ def job(solver: str, seed: int, steps: int) -> CellJob:
 
 
 def batches_of(jobs: list[CellJob], slots: int) -> list[list[str]]:
-    return [batch.names for batch in cell_batches("closed loops", jobs, slots)]
+    return [batch.names for batch in split_into_batches("closed loops", jobs, slots)]
 
 
 def test_configurations_meet_a_sea_at_about_the_same_time() -> None:

@@ -13,7 +13,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, template_context
+from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, start_forkserver
 from dpbench.bench.workers.orphans import list_children
 from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
@@ -52,7 +52,7 @@ while not os.path.exists(NUMBER) or not open(NUMBER).read():
 
 @pytest.fixture
 def context() -> ForkServerContext:
-    return template_context([])
+    return start_forkserver([])
 
 
 def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
@@ -123,8 +123,8 @@ def test_all_end_with_the_main_program(tmp_path: Path) -> None:
     program = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from dpbench.bench.workers.child import Child, template_context\n"
-        "child = Child(template_context([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
+        "from dpbench.bench.workers.child import Child, start_forkserver\n"
+        "child = Child(start_forkserver([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
         " limit_s=None)\n"
         "print('ready', flush=True)\n"
         "time.sleep(600.0)\n"
@@ -147,8 +147,8 @@ def test_a_stopped_worker_is_given_up(
     monkeypatch.setattr(supervise, "STOPPED_S", 0.2)
     code = SOLVER + "os.kill(os.getpid(), signal.SIGSTOP)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=None, logs=False)
-    wait_until(child.overdue, "it is waited for")
-    found = child.outcome()
+    wait_until(child.kill_if_overdue, "it is waited for")
+    found = child.determine_outcome()
     assert found.outcome == "hung" and "stopped by a signal" in found.detail
 
 
@@ -158,7 +158,7 @@ def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -
         "print('still here', flush=True)\nos._exit(3)"
     )
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
-    assert child.outcome().detail.endswith(CUT)
+    assert child.determine_outcome().detail.endswith(CUT)
     assert child.notice.output.is_full and OUTPUT_BYTES == 2**20
 
 
@@ -166,10 +166,10 @@ def test_the_keeper_has_no_children_but_the_template(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
-    wait_until(lambda: child.notice.template, "it does not begin")
+    wait_until(lambda: child.notice.forkserver, "it does not begin")
     notice = child.notice
-    assert list_children(notice.keeper) == [notice.template]
-    assert child.process.pid in list_children(notice.template)
+    assert list_children(notice.keeper) == [notice.forkserver]
+    assert child.process.pid in list_children(notice.forkserver)
     child.kill("seen")
 
 

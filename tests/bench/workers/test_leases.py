@@ -13,7 +13,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.workers import leases
-from dpbench.bench.workers.leases import lease_core, lease_folder
+from dpbench.bench.workers.leases import lease_core, open_lease_folder
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.locks import BusyError
@@ -143,10 +143,10 @@ def test_nobody_is_waited_for_without_measurements_that_are_kept(
 def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     with holding(OTHERS.format("SHARED")) as (killed, _):
-        named = (lease_folder() / "machine").read_text(encoding="utf-8")
+        named = (open_lease_folder() / "machine").read_text(encoding="utf-8")
     assert f'"pid": {killed.pid}' in named
     with holding(OTHERS.format("SHARED")) as (other, _):
-        with (lease_folder() / "machine").open("a", encoding="utf-8") as file:
+        with (open_lease_folder() / "machine").open("a", encoding="utf-8") as file:
             file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
         with pytest.raises(BusyError) as busy:
             run_campaign(tmp_path / "tiny.toml", tmp_path / "out", wait_s=0.0)

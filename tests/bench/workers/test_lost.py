@@ -67,7 +67,7 @@ def suite(tmp_path: Path) -> Path:
 def test_what_goes_away_between_judging_and_keeping_is_lost(
     suffixes: tuple[str, ...], suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, split = tmp_path / "out", batch._ItemProcess.split
+    out, split = tmp_path / "out", batch._ItemProcess.split_items
 
     def tidied(self: Any) -> Any:
         ended = split(self)
@@ -77,7 +77,7 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
         return ended
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._ItemProcess, "split", tidied)
+        patch.setattr(batch._ItemProcess, "split_items", tidied)
         assert read_accidents(run_campaign(suite, out, jobs=1))[0] == 3
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"lost"}

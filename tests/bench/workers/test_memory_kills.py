@@ -59,22 +59,22 @@ def killed(folder: Path, number: int, who: Phase = Phase.SOLVER) -> Child:
 def test_a_kill_for_want_of_memory_is_lost(who: Phase, vmstat: Path, tmp_path: Path) -> None:
     child = killed(tmp_path, signal.SIGKILL, who)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
-    assert child.outcome() == Outcome("lost", BY_MEMORY)
+    assert child.determine_outcome() == Outcome("lost", BY_MEMORY)
 
 
 def test_a_kill_without_want_of_memory_is_a_crash(vmstat: Path, tmp_path: Path) -> None:
     child = killed(tmp_path, signal.SIGKILL)
-    assert child.outcome() == Outcome("crashed", "killed by SIGKILL")
+    assert child.determine_outcome() == Outcome("crashed", "killed by SIGKILL")
 
 
 def test_another_signal_is_a_crash_whatever_the_memory(vmstat: Path, tmp_path: Path) -> None:
     child = killed(tmp_path, signal.SIGSEGV)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
-    assert child.outcome() == Outcome("crashed", "killed by SIGSEGV")
+    assert child.determine_outcome() == Outcome("crashed", "killed by SIGSEGV")
 
 
 def test_a_kernel_that_does_not_count_leaves_a_kill_lost(vmstat: Path, tmp_path: Path) -> None:
     vmstat.write_text("nr_free_pages 1137\n", encoding="ascii")
-    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
+    assert killed(tmp_path, signal.SIGKILL).determine_outcome() == Outcome("lost", BY_MEMORY)
     vmstat.unlink()
-    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
+    assert killed(tmp_path, signal.SIGKILL).determine_outcome() == Outcome("lost", BY_MEMORY)

@@ -10,8 +10,8 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, replay_layout
 from dpbench.bench.workers.interleaved import (
     ROBBED_FACTOR,
-    load_levels,
-    most_loaded_round,
+    find_most_loaded_round,
+    measure_load,
     rerun_loaded_rounds,
 )
 
@@ -117,8 +117,8 @@ def test_the_level_of_a_round_is_that_of_its_quieter_side() -> None:
     log.load_kernel_ns[1, 0] = BUSY_NS
     log.load_kernel_ns[2, :, 0] = 100 * BUSY_NS
     log.done[3] = 0
-    found = load_levels(log)
+    found = measure_load(log)
     assert LOAD_PASSES >= 3
     assert found[1] == found[2] == QUIET_NS
     assert np.isnan(found[[0, 3]]).all()
-    assert most_loaded_round(found, QUIET_NS) is None
+    assert find_most_loaded_round(found, QUIET_NS) is None

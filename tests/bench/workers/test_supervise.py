@@ -12,7 +12,7 @@ import pytest
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import FORKSERVER_DIED, Child, template_context
+from dpbench.bench.workers.child import FORKSERVER_DIED, Child, start_forkserver
 from dpbench.bench.workers.worker import write_outcome
 from tests.bench.deterministic import wait_until
 from tests.processes import is_running
@@ -23,11 +23,11 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def context() -> ForkServerContext:
-    return template_context([])
+    return start_forkserver([])
 
 
 def wait(child: Child) -> None:
-    wait_until(lambda: not child.process.is_alive() or child.overdue(), "it was not ended")
+    wait_until(lambda: not child.process.is_alive() or child.kill_if_overdue(), "it was not ended")
 
 
 SOLVER = """
@@ -43,7 +43,7 @@ def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str
     """Outcome and detail of a process that runs `code`."""
     child = Child(context, exec, (code,), folder, "cell", limit_s=5.0)
     wait(child)
-    found = child.outcome()
+    found = child.determine_outcome()
     return found.outcome, found.detail
 
 
@@ -116,8 +116,8 @@ def test_a_hanging_call_is_killed_and_its_steps_stay(
     code = SOLVER + "time.sleep(600.0)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=0.2)
     wait(child)
-    assert child.outcome().outcome == "hung"
-    assert "limit of 0.2 s" in child.outcome().detail
+    assert child.determine_outcome().outcome == "hung"
+    assert "limit of 0.2 s" in child.determine_outcome().detail
     np.testing.assert_array_equal(RawLog.open(tmp_path / "cell.raw").z[0, 0], [1.0, 2.0])
 
 
@@ -132,8 +132,8 @@ def test_a_process_that_never_starts_its_loop_is_killed(
     monkeypatch.setattr(supervise, "START_ALLOWANCE_S", 2.0)
     child = Child(context, exec, (head + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
     wait(child)
-    assert child.outcome().outcome == outcome
-    assert "did not start" in child.outcome().detail
+    assert child.determine_outcome().outcome == outcome
+    assert "did not start" in child.determine_outcome().detail
 
 
 def test_a_process_killed_behind_its_verdict_keeps_it(
@@ -143,14 +143,14 @@ def test_a_process_killed_behind_its_verdict_keeps_it(
     assert not child.has_verdict
     write_outcome(tmp_path / "cell.json", Outcome("finished", ""))
     child.kill("" if child.has_verdict else "no verdict")
-    assert child.outcome().outcome == "finished"
+    assert child.determine_outcome().outcome == "finished"
 
 
 def test_the_template_pins_threads_and_leaves_the_caller_alone(
     context: ForkServerContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    template_context([])
+    start_forkserver([])
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
@@ -160,7 +160,7 @@ def test_a_template_that_is_killed_is_no_solver(
     code = SOLVER + "os.kill(os.getppid(), signal.SIGKILL)\ntime.sleep(600.0)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
     wait(child)
-    assert child.outcome() == FORKSERVER_DIED and child.forkserver_died
+    assert child.determine_outcome() == FORKSERVER_DIED and child.forkserver_died
     assert child.process.pid is not None and not is_running(child.process.pid)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     left = "its process left with exit code 255: no output"

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.plan.suite import sequence_suite
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.plan.suite import build_sequence_suite
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
-from dpbench.bench.worst_case.goal import worst_of
+from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
@@ -80,23 +80,23 @@ def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Pat
 
 
 def test_a_way_that_cannot_be_is_not_replayed() -> None:
-    plain = sequence_suite("x.npz")
-    assert sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
+    plain = build_sequence_suite("x.npz")
+    assert build_sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
     for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
         way = {
             "worst_case_route": "native",
             "worst_case_policy": "warm",
             "worst_case_settings": "low",
         }
-        assert len(sequence_suite("x.npz", way).recorded) == 2
-        assert sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
+        assert len(build_sequence_suite("x.npz", way).recorded) == 2
+        assert build_sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
-    again = record(build_scenario(saved.documents))
+    again = record_scenario(build_scenario(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
         np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))
@@ -200,38 +200,38 @@ def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() 
     order = (TRUE_INFEASIBLE, DECLINED_BUT_RIGHT, ACCURATE, POOR, NO_ANSWER, WRONG)
     for i, better in enumerate(order):
         for worse in order[i + 1 :]:
-            found = worst_of(judged(better, worse, better), "error")
+            found = find_worst_step(judged(better, worse, better), "error")
             assert found is not None and found.step == 1, (better, worse)
     for lie in (FALSE_INFEASIBLE, SOLVED_THE_IMPOSSIBLE):
-        found = worst_of(judged(WRONG, lie), "error")
+        found = find_worst_step(judged(WRONG, lie), "error")
         assert found is not None and found.step == 1 and np.isinf(found.objective)
         assert np.isfinite(found.score), "a search can climb it"
 
 
 def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
-    refused = worst_of(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
-    lied = worst_of(judged(WRONG), "error")
+    refused = find_worst_step(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
+    lied = find_worst_step(judged(WRONG), "error")
     assert refused is not None and lied is not None and lied.objective > refused.objective
-    assert refused.figure("error").endswith("(max_iterations, which counts as 0.01)")
-    assert lied.figure("error") == "error_plan 5.00e-02 (claimed)"
+    assert refused.describe_figure("error").endswith("(max_iterations, which counts as 0.01)")
+    assert lied.describe_figure("error") == "error_plan 5.00e-02 (claimed)"
 
 
 def test_iterations_are_counted_whatever_the_answer() -> None:
-    found = worst_of(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
+    found = find_worst_step(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
     assert found is not None and (found.step, found.iterations) == (1, 900)
-    busier = worst_of(judged(ACCURATE, WRONG, WRONG), "iterations")
-    idler = worst_of(judged(ACCURATE, ACCURATE, WRONG), "iterations")
+    busier = find_worst_step(judged(ACCURATE, WRONG, WRONG), "iterations")
+    idler = find_worst_step(judged(ACCURATE, ACCURATE, WRONG), "iterations")
     assert busier is not None and idler is not None
     assert busier.objective == idler.objective and busier.score > idler.score
     assert int(busier.score) == int(idler.score) == 7
-    assert worst_of(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
+    assert find_worst_step(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
 
 
 @given(point=st.lists(st.floats(-1.0, 1.0), min_size=13, max_size=13).map(np.array))
 @settings(max_examples=30, deadline=None)
 def test_a_case_is_what_its_point_says(point: Any) -> None:
     own = load_scenario("paper")
-    scenario = SearchSpace(own, 20, "case").scenario(point)
+    scenario = SearchSpace(own, 20, "case").build_variant(point)
     assert (scenario.steps, scenario.problem.N_p, scenario.name) == (20, own.problem.N_p, "case")
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
@@ -253,7 +253,7 @@ def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
     space = SearchSpace(load_scenario("thruster_loss"), 20, "case")
     assert space.dimensions == 14
     faults = [
-        space.scenario(np.array([0.0] * 13 + [x])).controller.changes[0][0]
+        space.build_variant(np.array([0.0] * 13 + [x])).controller.changes[0][0]
         for x in (-1.0, 0.0, 1.0)
     ]
     assert faults[0] == 0 and faults[1] in (9, 10) and faults[2] == 19
@@ -262,7 +262,7 @@ def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
 def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
     model = load_scenario("calm@cybership2")
     point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
-    scenario = SearchSpace(model, 20, "case").scenario(point)
+    scenario = SearchSpace(model, 20, "case").build_variant(point)
     np.testing.assert_allclose(scenario.velocity, [70**-0.5, 0.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(
         scenario.environment.mean, np.minimum(-model.vessel.tau_min, model.vessel.tau_max)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario, run_closed_loop
-from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import Referee
@@ -53,7 +53,7 @@ def test_every_step_of_a_scenario_is_the_certified_optimum(name):
     exact = solve_exactly(scenario)
     count = {}
     for policy in POLICIES[1:]:
-        found = answers(opened(policy), sequence_of(scenario, exact))
+        found = answers(opened(policy), rebuild_sequence(scenario, exact))
         assert all(answer.status is Status.SOLVED for answer in found)
         assert max(np.abs(a.z - z).max() for a, z in zip(found, exact.z, strict=True)) <= 1e-9
         count[policy] = sum(answer.iterations for answer in found)
