@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, answers_of
+from dpbench.analysis.suites.capability import Answers, count_answers
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, WindLimit
 from dpbench.bench.capability.study import (
@@ -78,7 +78,7 @@ def _judge_solvers(
     with Bar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
-    return answers_of(records, [run for run in records.runs if run.default_route])
+    return count_answers(records, [run for run in records.runs if run.default_route])
 
 
 def _figure_file(name: str | None) -> Path | None:

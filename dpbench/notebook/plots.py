@@ -87,10 +87,10 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     """Make the rows of `charts.strips`, one per step; times in µs, the largest of a replay."""
-    from dpbench.analysis.records.run_steps import counting_of, run_steps
+    from dpbench.analysis.records.run_steps import counting_rows, run_steps
     from dpbench.report.charts.steps import NO_ANSWER
 
-    ((_, run),) = run_steps(counting_of(steps))
+    ((_, run),) = run_steps(counting_rows(steps))
     return pd.DataFrame(
         {
             "k": run.k,

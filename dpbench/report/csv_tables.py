@@ -9,9 +9,9 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.times.solver_tables import (
+    experiment_table,
     hard_step_table,
     ratio_table,
-    tile_table,
     time_table,
     verdict_table,
 )
@@ -37,7 +37,7 @@ def build_tables(
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts_table(data, recommendation),
-        "experiments": tile_table(data),
+        "experiments": experiment_table(data),
         "hard_steps": hard_step_table(data, data.thinned_runs),
         "ladder": _ladder_table(data),
         "paired_ratios": ratio_table(data),

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import isnan
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import largest_of
+from dpbench.analysis.times.machine import largest_by_name
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
@@ -70,7 +70,7 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """List the configurations that leave the processor by their own doing."""
-    own = largest_of(
+    own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
     wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())

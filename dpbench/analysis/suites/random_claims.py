@@ -27,7 +27,7 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of the steps of some cells.
+    """Counts of true and false claims that solvers made on QP steps.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ class Tally:
 
     @property
     def wrong(self) -> int:
-        """Untrue claims of either kind."""
+        """Number of untrue claims, of an optimum or of infeasibility."""
         return self.false_claims + self.wrong_refusals
 
 
 class RandomClaims:
-    """Classified steps of all random sequences.
+    """True and false claims of solvers on all random QP sequences.
 
     `runs` are those that were not refused, each once: settings without effect, one run shown under
     several names, are one run with all of them in `settings`.
@@ -71,8 +71,8 @@ class RandomClaims:
         counts = counts.reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
-    def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Return tallies by the values of some columns of the runs."""
+    def tally_by(self, *names: str) -> dict[tuple[str, ...], Tally]:
+        """Sum the claim counts of runs by the values of given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
@@ -80,6 +80,7 @@ class RandomClaims:
 
 
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Merge the runs that are equal under several settings names."""
     kept: list[RunRecord] = []
     for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by(own, lambda run: run.settings)
@@ -90,7 +91,7 @@ def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _run_key(runs: Sequence[RunRecord]) -> str:
-    """Return a key of a run: times never repeat to the nanosecond."""
+    """Return a key of a configuration's runs, equal only for the same measurements."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
@@ -98,12 +99,12 @@ CLAIMS = ("status", "certificate", "claimed", "true")
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """Count the steps of each run by `classify_steps`, by run_id."""
+    """Count the true and false claims of each run, by run id."""
     return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 
 def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
-    """Classify each step: one Boolean column per count of `Tally`, except `missed`."""
+    """Classify the claim at each step as right or wrong: a Boolean column per kind."""
     known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(

@@ -33,13 +33,13 @@ LARGEST_ERROR = 1e3
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """Return what tells a configuration apart beside the column of its solver."""
+    """Return a configuration's solver, route, policy and settings as columns."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
 def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return the verdict on every configuration over all its runs; times in µs."""
+    """Tabulate the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
         [
             {
@@ -67,7 +67,7 @@ def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the step that bounds each of its parts."""
+    """Return a configuration's speed margin and the steps that limit it, as columns."""
     margin = matrix.margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
@@ -92,7 +92,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return columns `TIMES` of the best configuration of each solver that was timed."""
+    """Tabulate the step times [ms] of the best configuration of each timed solver."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -116,19 +116,20 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
+    """Return a configuration's largest single timing [ms]; NaN without one."""
     longest = matrix.longest_timing(verdict.configuration)
     return nan if longest is None else longest[1].raw_max_ns / 1e6
 
 
-def tile_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return solver × experiment × settings, in the call mode of its best configuration."""
+def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate the verdict on each solver by experiment and settings level."""
     best = {
         v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
     }
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile_row(matrix, replace(mode, settings=level), p)
+            _experiment_row(matrix, replace(mode, settings=level), p)
             for mode in modes
             for level in matrix.levels
             for p in matrix.judged_experiments
@@ -136,7 +137,8 @@ def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     )
 
 
-def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+    """Return the verdict on a configuration in one experiment as a table row."""
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
@@ -155,7 +157,7 @@ def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any
 
 
 def level_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return error and time at each settings level of each solver.
+    """Tabulate error and step time of each solver at each settings level.
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
@@ -181,7 +183,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
-    """Return the hardest steps of every run outside studies by each measure; times in µs.
+    """Tabulate the hardest steps of every run by time, iterations and error.
 
     Parameters
     ----------
@@ -205,14 +207,14 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.Dat
 
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return the paired ratio of each solver's best configuration to the fastest of them."""
+    """Tabulate the time ratio of each solver's best configuration to the fastest."""
     timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
-def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """Return the timed configurations, and `log_half_width` of any two of them.
+def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
+    """Return the timed configurations, and the log ratio half-width of each two.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """
@@ -226,7 +228,7 @@ def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 
 @dataclass(frozen=True)
 class LevelPoint:
-    """Configuration at one settings level of its solver, over all sequences.
+    """Step times and error of a solver at one settings level, over all sequences.
 
     Parameters
     ----------
@@ -245,7 +247,7 @@ class LevelPoint:
 def level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Return the points of each solver in one call mode, the most usual settings first.
+    """Return each solver's times and error at its settings levels, in one call mode.
 
     Parameters
     ----------
@@ -268,6 +270,7 @@ def level_points(
 def _level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
+    """Return a configuration's worst times and error over sequences; None if untimed."""
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None

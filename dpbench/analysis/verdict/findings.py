@@ -54,7 +54,7 @@ OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Finding against a configuration, or on what could not be judged.
+    """Reason for a verdict on a configuration: a fault, doubt, near limit or gap.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Finding:
 def worst_first(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return one finding with the worst run by a figure in front, the others in their order."""
+    """Return one finding on several runs, the worst by a figure first; or none."""
     if not runs:
         return []
     worst = max(runs, key=figure)

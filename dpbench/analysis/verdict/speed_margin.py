@@ -25,7 +25,7 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class SlowStep:
-    """Step that bounds the speed of a computer.
+    """Step whose solve time limits how slow a computer may be.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class SlowStep:
 
 @dataclass(frozen=True)
 class SpeedMargin:
-    """Speed margin of one configuration.
+    """How much slower a computer may be, and the steps that limit it.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class SpeedMargin:
 
     @property
     def factor(self) -> float:
-        """Factor up to which the times stay within both limits."""
+        """Slow-down factor up to which times stay within deadline and p99 limit."""
         return min(self.deadline, self.p99_limit)
 
 
@@ -68,7 +68,7 @@ class SpeedMargin:
 def speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Return the speed margin of every configuration that was timed."""
+    """Compute the speed margin of every timed configuration."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
     of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
@@ -91,25 +91,28 @@ def speed_margins(
 def _bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
-    """Return the hardest step of each run, and the step at its p99."""
+    """Find each run's step of the largest time, and the one at its p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
         p99 = p99_ns(run, steps.time_ns)
         times_ns = largest, largest if math.isnan(p99) else p99
-        found[run_id] = _slow_step(run, steps, times_ns[0]), _slow_step(run, steps, times_ns[1])
+        found[run_id] = (
+            _nearest_step(run, steps, times_ns[0]),
+            _nearest_step(run, steps, times_ns[1]),
+        )
     return found
 
 
-def _slow_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
-    """Return the step nearest to `time_ns`, with that time: a p99 lies between two steps."""
+def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
+    """Return a run's step whose time is nearest to `time_ns`, with that time."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
 def largest_stall_ns(records: Records) -> float:
-    """Return the longest that a calibration run exceeded its step [ns]; NaN without."""
+    """Return the longest stall in calibration runs [ns]; NaN without any."""
     arms = [run for run in records.calibration if run.mode == "replay"]
     delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]

@@ -22,7 +22,7 @@ UNKNOWN = 1.5
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Factors within which the times of a campaign are uncertain.
+    """Factors within which step times of a campaign are uncertain.
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
@@ -42,13 +42,13 @@ class Uncertainty:
     usual: float
 
     def of(self, run: RunRecord) -> float:
-        """Return the factor of a run: that of its configuration, and at least the usual one."""
+        """Return the factor within which a run's step times are uncertain."""
         own = self.middle if run.mode == "replay" else self.slow
         return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
 
 
 def estimate_uncertainty(records: Records) -> Uncertainty:
-    """Return the uncertainty of the times of a result folder."""
+    """Estimate the uncertainty of step times from the spread between rounds."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):
         times = records.times(run)
@@ -64,5 +64,5 @@ def estimate_uncertainty(records: Records) -> Uncertainty:
 
 
 def usual_factor(factors: Iterable[float]) -> float:
-    """Return the factor that the share `QUANTILE` of the configurations stay below."""
+    """Return the 95 % quantile of the configurations' uncertainty factors."""
     return float(np.quantile(list(factors), QUANTILE))

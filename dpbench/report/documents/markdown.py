@@ -126,7 +126,7 @@ def compare_solver(
         solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
         "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
-        "\n".join(f"    {one_line(step.export)}" for step in worst),
+        "\n".join(f"    {one_line(step.export_command)}" for step in worst),
         markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
     ]
     return cut(
@@ -188,7 +188,7 @@ def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
             f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
             f"{_figure_text(step.measure, step.value)}, median "
             f"{_figure_text(step.measure, step.median)}; "
-            f"{step.export}",
+            f"{step.export_command}",
         )
         for step in worst
         if not math.isnan(step.value)

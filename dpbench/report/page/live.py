@@ -9,7 +9,12 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.suites.study import SMALL_M
-from dpbench.analysis.times.solver_tables import level_table, pair_reaches, tile_table, time_table
+from dpbench.analysis.times.solver_tables import (
+    experiment_table,
+    level_table,
+    pair_half_widths,
+    time_table,
+)
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.overview import accuracy, ladder, matrix
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
@@ -30,7 +35,7 @@ def _draw_ladder(data: PageData) -> Charts:
 
 
 def _draw_matrix(data: PageData) -> Charts:
-    tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
+    tiles = drawn_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
     return {"matrix": matrix(tiles), "matrix_narrow": matrix(tiles, stacked=True)}
@@ -46,7 +51,7 @@ MATRIX = (
 
 def _matrix_text(data: PageData) -> str:
     """Explain the tiles, and how many experiments are left out."""
-    tiles = tile_table(data)
+    tiles = experiment_table(data)
     there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
     wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
@@ -89,7 +94,7 @@ def _replayed_configurations(data: PageData) -> set[int]:
 
 
 def _pack_pair_reaches(data: PageData, _: Results) -> dict[str, Any]:
-    timed, reach = pair_reaches(data)
+    timed, reach = pair_half_widths(data)
     return {"paired": {"c": timed, "reach": data.block.log(reach)}}
 
 

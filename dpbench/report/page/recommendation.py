@@ -130,7 +130,7 @@ def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
 
 
 def _no_solution(data: PageData, c: Configuration) -> str:
-    steps, told = data.without_solution(c)
+    steps, told = data.count_infeasible_steps(c)
     wording = ", and it said so" if told else ""
     return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 

@@ -8,12 +8,12 @@ from math import isnan
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, Plot, capability_plots
+from dpbench.analysis.suites.capability import Answers, CapabilityResult, capability_plots
 from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
-    Analysis,
     BatchAnswers,
+    ConsequenceAnalysis,
     consequence_analyses,
 )
 from dpbench.bench.capability.frontier import INTACT
@@ -49,7 +49,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
     )
 
 
-def _state_winds(plot: Plot) -> Iterator[str]:
+def _state_winds(plot: CapabilityResult) -> Iterator[str]:
     """State the least wind held all round, intact and after the worst failure."""
     if plot.edges.empty:
         return
@@ -67,7 +67,7 @@ def _least_wind_text(edges: pd.DataFrame) -> str:
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def _name_right_solvers(plot: Plot) -> Iterator[str]:
+def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
     """Name the solvers that answer all QPs rightly, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
@@ -85,7 +85,7 @@ def _name_right_solvers(plot: Plot) -> Iterator[str]:
         yield f"{silent} {leave} some without an answer, or did not get so far in time."
 
 
-def _capability_figures(plot: Plot) -> Iterator[Figure]:
+def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -140,7 +140,7 @@ def consequence_topic(records: Records) -> Topic | None:
     )
 
 
-def _consequence_figures(analysis: Analysis) -> Iterator[Figure]:
+def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     yield Figure(
         f"consequence-{_file_name(analysis)}",
         spans(analysis.spans, f"Losses held, {analysis.name}"),
@@ -159,12 +159,12 @@ def _consequence_figures(analysis: Analysis) -> Iterator[Figure]:
         )
 
 
-def _file_name(analysis: Analysis) -> str:
+def _file_name(analysis: ConsequenceAnalysis) -> str:
     """Return `thrusters-350-550` for `thrusters[350:550]`."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _state_losses(analysis: Analysis) -> str:
+def _state_losses(analysis: ConsequenceAnalysis) -> str:
     """State which losses can be held when, those of the same answer together."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
@@ -188,7 +188,7 @@ def _time_held(of_group: pd.DataFrame) -> str:
     return f"in {100.0 * share:.0f} % of the time"
 
 
-def _name_right_configurations(analysis: Analysis) -> str:
+def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.all_right]
@@ -209,7 +209,7 @@ def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
     return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
 
 
-def _solver_rows(analysis: Analysis) -> Iterator[dict[str, str]]:
+def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
     for solver, best in analysis.best.items():
         right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
         yield row_of(best, right)

@@ -27,11 +27,11 @@ def random_topic(records: Records) -> Topic | None:
     claims = RandomClaims(records)
     if not claims.runs:
         return None
-    by_solver = claims.by("solver")
+    by_solver = claims.tally_by("solver")
     table = pd.DataFrame(
         [
             {"x": family, "y": solver, "count": tally.wrong}
-            for (solver, family), tally in claims.by("solver", "family").items()
+            for (solver, family), tally in claims.tally_by("solver", "family").items()
         ]
     )
     rows = sorted(by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0]))

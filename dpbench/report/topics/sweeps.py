@@ -92,10 +92,10 @@ def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> s
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
-    doubt = " ?" if sweep.has_p99 and not swept.settled(limit_ns) else ""
+    doubt = " ?" if sweep.has_p99 and not swept.is_settled(limit_ns) else ""
     if largest is None:
         return f"none{doubt}"
-    least = "≥ " if sweep.has_p99 and not swept.measured_beyond(largest) else ""
+    least = "≥ " if sweep.has_p99 and not swept.has_p99_beyond(largest) else ""
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 

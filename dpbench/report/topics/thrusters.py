@@ -14,9 +14,9 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.suites.consequence import (
     HELD,
-    Analysis,
+    ConsequenceAnalysis,
+    answers_in_all,
     consequence_analyses,
-    in_all,
     largest_share,
 )
 from dpbench.analysis.verdict.fastest import choose_solver
@@ -150,10 +150,10 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
     before = commanded.passing_with_forces
     if not before:
-        fine, run = len(commanded.fine), len(commanded.with_thrusters)
+        fine, run = len(commanded.passing), len(commanded.with_thrusters)
         wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
-        missing, unknown = commanded.missing, commanded.undecided
+        missing, unknown = commanded.failing, commanded.undecided
         wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
@@ -200,7 +200,7 @@ def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str
     if not analyses:
         return
     yield f"{', '.join(map(_state_end, analyses)).capitalize()}."
-    own = in_all(analyses)
+    own = answers_in_all(analyses)
     right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
@@ -231,7 +231,7 @@ def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
     return next((name for name in known if name in names), "")
 
 
-def _state_end(analysis: Analysis) -> str:
+def _state_end(analysis: ConsequenceAnalysis) -> str:
     """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())

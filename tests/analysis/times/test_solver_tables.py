@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
-from dpbench.analysis.times.solver_tables import level_points, tile_table, time_table
+from dpbench.analysis.times.solver_tables import experiment_table, level_points, time_table
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import verdicts_of
@@ -42,7 +42,7 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = tile_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
+    tiles = experiment_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
     assert tiles.to_dict() == {
         ("default", "paper"): "fail",
         ("default", "calm"): "fail",

@@ -54,9 +54,9 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
         },
         {},
     )
-    assert verdicts.fine == ["a", "c"]
+    assert verdicts.passing == ["a", "c"]
     assert verdicts.undecided == ["d", "e"]
-    assert verdicts.missing == ["b", "f"]
+    assert verdicts.failing == ["b", "f"]
     assert verdicts.passing_with_forces == ["a", "b", "d"]
     assert verdicts.passing_with_forces_only == ["b"]
 
@@ -100,7 +100,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     }
     assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
-    assert (found.fine, found.passing_with_forces_only) == (["daqp"], ["piqp"])
+    assert (found.passing, found.passing_with_forces_only) == (["daqp"], ["piqp"])
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_gaps_of_a_configuration(records: Any) -> None:
         ("refused", ["calm"], -1.0, 0),
         ("short", ["rough"], -1.0, 120),
     ]
-    assert high.state == "inconclusive" and not high.ranks
+    assert high.state == "inconclusive" and not high.is_rankable
 
 
 def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
@@ -210,5 +210,5 @@ def test_kinds_of_runs_that_are_missing(records: Any) -> None:
     (timed,), (steered,) = _all(records), _all(records, "scs")
     assert [finding.kind for finding in timed.missing] == ["no closed loop"]
     assert [finding.kind for finding in steered.missing] == ["no replay"]
-    assert (timed.state, timed.ranks) == ("inconclusive", True)
-    assert (steered.state, steered.ranks) == ("inconclusive", False)
+    assert (timed.state, timed.is_rankable) == ("inconclusive", True)
+    assert (steered.state, steered.is_rankable) == ("inconclusive", False)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.solver_tables import tile_table
+from dpbench.analysis.times.solver_tables import experiment_table
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page import data as page_data
@@ -98,7 +98,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
             wrong = solver == "osqp" and i in (1, 3)
             records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
     facts = _facts(records)
-    tiles = tile_table(facts)
+    tiles = experiment_table(facts)
     assert drawn_tiles(tiles).equals(tiles)
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = drawn_tiles(tiles)

@@ -197,7 +197,7 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
     assert "(5 steps had no solution), p99" in _answer(records).sentence
     records.loop("osqp")
-    assert _facts(records).without_solution(_facts(records).configurations[-1]) == (0, True)
+    assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
 
 
 @pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])
