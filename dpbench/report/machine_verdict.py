@@ -21,14 +21,14 @@ from dpbench.report.formats import (
 )
 
 
-def verdict_text(disturbance: Disturbance) -> str:
-    """Return "quiet", or "disturbed" and by what."""
+def disturbance_text(disturbance: Disturbance) -> str:
+    """Describe how other load disturbed the machine: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
-    """Judge the harness by the median times of its own solvers [ns]."""
+    """Describe how well the harness measures waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
@@ -36,7 +36,7 @@ def calibration_text(p50_ns: dict[str, float]) -> str:
 
 
 def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
-    """List the properties of a machine."""
+    """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
@@ -56,7 +56,7 @@ def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 
 def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """List what disturbed some replays, as the kernel shows it."""
+    """List what disturbed replays, as label and text: switches, stolen time, throttling."""
     disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
@@ -69,7 +69,7 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 
 def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """List the configurations that leave the processor by their own doing."""
+    """List configurations that cause context switches themselves, as label and text."""
     own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )

@@ -16,7 +16,7 @@ import pytest
 
 import dpbench
 from dpbench.report.charts.capability import COLUMNS, draw_rose
-from dpbench.report.charts.render import encode_figure, save
+from dpbench.report.charts.render import encode_figure, save_figure
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.record import Family
 from dpbench.solvers.table import TABLE
@@ -79,7 +79,7 @@ def test_it_is_written_in_four_formats(
     chart: Any, tmp_path: Path, suffix: str, begins: bytes
 ) -> None:
     """The page fetches nothing: its libraries are inside."""
-    written = save(chart, tmp_path / f"rose.{suffix}").read_bytes()
+    written = save_figure(chart, tmp_path / f"rose.{suffix}").read_bytes()
     assert written.lstrip().startswith(begins)
     assert b"<script src=" not in written
 

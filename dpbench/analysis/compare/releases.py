@@ -200,16 +200,14 @@ def _build_history(
     releases = []
     for version, of_version in group_by(runs.items(), lambda item: version_of(item[1])).items():
         times = (
-            _geometric_mean(
-                [_time_over_reference(run, column, units[name]) for name, run in of_version]
-            )
+            _geometric_mean([_relative_time(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
         )
         releases.append(Release(version, dict(of_version), *times))
     return History(sorted(releases, key=lambda release: _version_key(release.version)))
 
 
-def _time_over_reference(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
     """Return a replay's time over the reference solver's, or in ns; NaN for a loop."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
@@ -223,8 +221,7 @@ def _folder_ratios(
     """Yield, for each version, its largest p50 among the folders over the smallest."""
     for release in history.releases:
         times = [
-            _time_over_reference(run, "algo_p50_ns", units[name])
-            for name, run in release.runs.items()
+            _relative_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
         ]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)

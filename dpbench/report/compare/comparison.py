@@ -39,8 +39,8 @@ from dpbench.report.formats import (
     share_text,
     significant,
 )
-from dpbench.report.machine_verdict import verdict_text
-from dpbench.report.table import Table, document, html
+from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.table import Table, html_table, markdown_document
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then the weaker ones."""
@@ -51,7 +51,7 @@ STOPPED = "not comparable (stopped by a time limit)"
 
 
 def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
-    """Return one row per solver: verdicts of all its configurations together."""
+    """Tabulate the verdict on each solver over all its configurations."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted(set(names)):
@@ -77,7 +77,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
 
 
 def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
-    """Merge several verdicts into one; `order`: the two claims, then the weaker ones."""
+    """Merge the verdicts on several configurations into one text."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
         return f"{claims[0]} and {claims[1]}"
@@ -92,7 +92,7 @@ def times_table(
     ordered: bool = False,
     reference: str = "",
 ) -> Table:
-    """Return one row per configuration and sequence, claims first unless they are `ordered`."""
+    """Tabulate step times in both runs with their ratio and the verdict on it."""
     machine = f"that ratio of {reference}, the reference"
     if not reference:
         machine = (
@@ -114,6 +114,7 @@ def times_table(
 
 
 def _time_row(compared: Compared) -> dict[str, str]:
+    """Return the times, ratio and verdict of a configuration as a table row."""
     timing, assessment = compared.timing, compared.assessment
     return {
         "configuration": timing.pair.label,
@@ -147,7 +148,7 @@ def shared_line(shared: Shared) -> str:
 
 
 def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
-    """Return the figures that changed, worse ones first; None where none did."""
+    """Tabulate the figures of accuracy and control that changed; None where none did."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None
@@ -164,13 +165,14 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
 
 
 def answer_line(answer: Answer) -> str:
-    """One figure that changed, in a line."""
+    """Describe a figure of accuracy or control in both runs, in one line."""
     column = answer.measure.column
     values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
 def _answer_row(answer: Answer) -> dict[str, str]:
+    """Return a figure of accuracy or control in both runs as a table row."""
     column = answer.measure.column
     return {
         "configuration": answer.pair.label,
@@ -183,11 +185,13 @@ def _answer_row(answer: Answer) -> dict[str, str]:
 
 
 def _range_text(column: str, values: Range) -> str:
+    """Format the range of a figure over rounds; one value where its ends print alike."""
     texts = [_figure_text(column, value) for value in values]
     return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
 
 
 def _figure_text(column: str, value: float) -> str:
+    """Format a figure of accuracy or control by the kind of its column."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
@@ -204,7 +208,7 @@ LISTED = 5
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Verdicts on each configuration from folder A to folder B.
+    """Comparison of two result folders: verdicts on times, accuracy and control.
 
     Parameters
     ----------
@@ -229,12 +233,13 @@ class Comparison:
         return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
 
     def _repr_html_(self) -> str:
+        """Return the comparison as HTML, for a notebook."""
         lines = table_html((), [(line,) for line in self.lines], title="Comparison")
-        return lines + "".join(html(table) for table in self.tables)
+        return lines + "".join(html_table(table) for table in self.tables)
 
     @property
     def worse(self) -> bool:
-        """Whether a regression is shown."""
+        """True if a regression is shown: slower, less accurate, or worse control."""
         together = [s.assessment for s in self.shared if s.assessment is not None]
         slow = any(
             j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
@@ -243,17 +248,17 @@ class Comparison:
 
     @property
     def times(self) -> pd.DataFrame:
-        """One row per configuration and sequence: ratios, interval, adjusted p-values, verdict."""
+        """Table of step time ratios: a row per configuration and sequence."""
         return pd.DataFrame([compared.row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
-        """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
+        """Table of accuracy and control: a row per configuration and figure."""
         return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
         """Return the comparison as a Markdown document."""
-        return document("Comparison", self.lines, self.tables)
+        return markdown_document("Comparison", self.lines, self.tables)
 
 
 def compare(
@@ -264,7 +269,7 @@ def compare(
     margin: float = 0.05,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Compare folder B with folder A, cell by cell.
+    """Compare result folder B with folder A: step times, accuracy and control.
 
     Parameters
     ----------
@@ -304,7 +309,7 @@ def compare(
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[Compared], list[Shared], list[str]]:
-    """Compare step times; return verdicts, shared changes, and remarks on the method."""
+    """Judge the step times of two folders; return verdicts and remarks."""
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
@@ -323,14 +328,16 @@ def _compare_times(
 
 
 def _machine_text(view: Records) -> str:
+    """Describe a folder's processor and how other load disturbed it."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = disturbance_of(timed_runs(view))
-    return f"{wording}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else wording
+    return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def _summary_lines(
     compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
 ) -> list[str]:
+    """Summarise a comparison in lines: cells, verdicts, changes, cells not compared."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

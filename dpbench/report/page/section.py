@@ -11,13 +11,14 @@ from dpbench.report.page.data import PageData
 from dpbench.report.table import Table
 
 
-def _nothing(*_: object) -> dict[str, Any]:
+def _empty_dictionary(*_: object) -> dict[str, Any]:
+    """Return an empty dictionary: the default charts and data of a section."""
     return {}
 
 
 @dataclass(frozen=True)
 class Section:
-    """Section that follows the selection, of `templates/ID.html.j2` and `scripts/ID.js`.
+    """Part of the page that follows the reader's selection, with template and script.
 
     Parameters
     ----------
@@ -30,9 +31,9 @@ class Section:
 
     id: str
     name: str
-    charts: Callable[[PageData], dict[str, Any]] = _nothing
+    charts: Callable[[PageData], dict[str, Any]] = _empty_dictionary
     drawn: tuple[str, ...] = ()
-    data: Callable[[PageData, Results], dict[str, Any]] = _nothing
+    data: Callable[[PageData, Results], dict[str, Any]] = _empty_dictionary
     text: Callable[[PageData], str] = lambda _: ""
     always: bool = False
     live: bool = False
@@ -40,13 +41,13 @@ class Section:
 
     @property
     def template(self) -> str:
-        """Its template, of `templates/`."""
+        """File name of the section's template."""
         return f"{self.id}.html.j2"
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A static figure: the name of its file, the chart, and a line below it."""
+    """Static figure: its file name, the chart, and a caption."""
 
     name: str
     chart: Any
@@ -55,7 +56,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Topic:
-    """Section of lines, figures, tables and a text to paste elsewhere.
+    """Part of the page on one question: lines, figures, tables, a text to paste.
 
     `short` is its name in the line of links, by default its title. The topic that `leads` is the
     question of the suite: its first line is the answer of the page.
@@ -73,5 +74,5 @@ class Topic:
 
     @property
     def name(self) -> str:
-        """Its name in the line of links."""
+        """Name of the topic in the page's row of links."""
         return self.short or self.title

@@ -23,10 +23,10 @@ from dpbench.report.charts.capability import (
     RIGHT_HELD,
     RIGHT_NOT,
     WRONG,
-    answers,
+    draw_answer_shares,
+    draw_loss_spans,
     draw_rose,
-    shares,
-    spans,
+    draw_sample_shares,
 )
 from dpbench.report.formats import and_list, counted_list, of_sample_text, plural, significant
 from dpbench.report.page.section import Figure, Topic
@@ -34,7 +34,7 @@ from dpbench.report.table import Table
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """Return the topic on capability plots; None without one; table : of `load_capability`."""
+    """Build the topic on capability plots of thrusters; None without a plot."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
@@ -50,7 +50,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
 
 
 def _state_winds(plot: CapabilityResult) -> Iterator[str]:
-    """State the least wind held all round, intact and after the worst failure."""
+    """State the least wind held over all directions, intact and after a failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -63,12 +63,13 @@ def _state_winds(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _least_wind_text(edges: pd.DataFrame) -> str:
+    """Format the least wind held [m/s] and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
-    """Name the solvers that answer all QPs rightly, and those with untrue claims."""
+    """Name the solvers right on all QPs at the edge, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
@@ -86,6 +87,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
+    """Yield the figures of a capability plot: wind held, and the solvers' answers."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -100,13 +102,14 @@ def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
         rows = [row for a in plot.answers for row in _answer_shares(a)]
         yield Figure(
             f"capability-answers-{plot.vessel}",
-            answers(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
+            draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
             f"{plural(plot.qps, 'QP')}: the rows of the standard's table around each edge, and a "
             "thousandth of the wind before and beyond it.",
         )
 
 
 def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
+    """Yield the share and number of a solver's answers, by kind of answer."""
     counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.silent, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
@@ -117,7 +120,7 @@ MOST_ROWS = 8
 
 
 def consequence_topic(records: Records) -> Topic | None:
-    """Return the topic on consequence analyses; None without one."""
+    """Build the topic on consequence analyses; None without one."""
     analyses = consequence_analyses(records)
     if not analyses:
         return None
@@ -141,9 +144,10 @@ def consequence_topic(records: Records) -> Topic | None:
 
 
 def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
+    """Yield the figures of a consequence analysis: losses held, and solve times."""
     yield Figure(
         f"consequence-{_file_name(analysis)}",
-        spans(analysis.spans, f"Losses held, {analysis.name}"),
+        draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
         "Proven for the mean force of each sample: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
@@ -154,26 +158,27 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     if marks:
         yield Figure(
             f"consequence-time-{_file_name(analysis)}",
-            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
             "The best configuration of each solver; the QPs of all groups at one sample.",
         )
 
 
 def _file_name(analysis: ConsequenceAnalysis) -> str:
-    """Return `thrusters-350-550` for `thrusters[350:550]`."""
+    """Return the name of a consequence analysis as part of a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
 def _state_losses(analysis: ConsequenceAnalysis) -> str:
-    """State which losses can be held when, those of the same answer together."""
+    """State which losses of thrusters can be held, and when."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        wording.setdefault(_time_held(of_group), []).append(str(group))
+        wording.setdefault(_time_held_text(of_group), []).append(str(group))
     parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
     return f"In {analysis.name} {'; '.join(parts)}."
 
 
-def _time_held(of_group: pd.DataFrame) -> str:
+def _time_held_text(of_group: pd.DataFrame) -> str:
+    """Describe when a loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -189,7 +194,7 @@ def _time_held(of_group: pd.DataFrame) -> str:
 
 
 def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
-    """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
+    """Name the configurations right on all QPs, the fastest, and missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -201,22 +206,24 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     silent = sum(1 for a in answers if a.silent)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
-    return f"{head}; {_missed_alarms(answers)}{unanswered}."
+    return f"{head}; {_missed_alarms_text(answers)}{unanswered}."
 
 
-def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
+def _missed_alarms_text(answers: Sequence[BatchAnswers]) -> str:
+    """State how often configurations call a loss held that cannot be held."""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
 
 
 def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
+    """Yield the table row of each solver's best configuration."""
     for solver, best in analysis.best.items():
         right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
-        yield row_of(best, right)
+        yield consequence_row(best, right)
 
 
-def row_of(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
-    """Return the cells of a solver by their heads; `right`: of each of its configurations."""
+def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+    """Return a solver's row in the table of a consequence analysis."""
     return {
         "configuration": best.name,
         "p99 share": of_sample_text(best.p99),

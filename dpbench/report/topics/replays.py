@@ -38,7 +38,7 @@ from dpbench.report.verdict_text import answer_text
 
 
 def routes_topic(records: Records) -> Topic | None:
-    """Compare call modes: cost of the wrapper, gain of keeping a workspace; else None."""
+    """Build the topic on call modes: cost of the wrapper, gain of a kept workspace."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
@@ -63,14 +63,14 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """Format a ratio with its 95 % interval, where there are steps enough for one."""
+    """Format a ratio with its 95 % interval, where it has one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
 def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Compare the formulations of the same QPs; None where no sequence was run in two."""
+    """Build the topic on QP formulations; None if no sequence was run in two."""
     tables = _median_tables(
         records,
         requirements,
@@ -88,7 +88,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Compare the settings levels; None where there is but one."""
+    """Build the topic on settings levels; None where there is but one."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     tables = _median_tables(
         records,
@@ -107,7 +107,7 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
-    """Name the solvers that are right on every step with default settings, and with others only."""
+    """Name the solvers right on every step by default, and with other settings only."""
     good = right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -123,7 +123,7 @@ def _right_levels_text(records: Records, requirements: Requirements) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Compare two solvers on the same steps, in one call mode and at one setting; else None."""
+    """Build the topic that compares two solvers step by step; None for other suites."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
@@ -152,7 +152,7 @@ def _median_tables(
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """Tabulate median step times by sequence: rows by `kept`, columns by `varied`."""
+    """Tabulate median step times by sequence, rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
     problems = group_by(replays, lambda run: (run.sequence, run.units))
@@ -171,7 +171,7 @@ def _median_tables(
 
 
 def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
-    """Count how often each form is the fastest right one."""
+    """State how often each QP formulation is the fastest with right answers."""
     wins = fastest_forms(records, requirements)
     wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
@@ -190,7 +190,7 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
 
 
 def worst_case_topic(records: Records) -> Topic | None:
-    """Return the topic on the step that a search found; None where the suite names none."""
+    """Build the topic on the worst step that a search found; None without a search."""
     requested = records.suite.get("report", {})
     k = requested.get("step")
     if k is None:
@@ -215,7 +215,7 @@ def worst_case_topic(records: Records) -> Topic | None:
 
 
 def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
-    """Return the cells of one configuration at the step; None where it did not get there."""
+    """Return a configuration's time, iterations and error at one step, as text."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
         return None
@@ -232,6 +232,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
 
 
 def _state_step(row: tuple[str, ...], k: int) -> str:
+    """State a configuration's time, iterations and error at one step."""
     name, took, median, iterations, usual, error, answer = row
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     return (
@@ -241,7 +242,7 @@ def _state_step(row: tuple[str, ...], k: int) -> str:
 
 
 def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Return the topic on closed loops; None without one."""
+    """Build the topic on solvers in closed loop; None without a loop."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
     by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
@@ -271,7 +272,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _control_cells(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Count fallbacks, and find the largest distance from the exact loop."""
+    """Count a configuration's fallbacks; find its largest distance from the exact loop."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
     worst = max(off, key=lambda run: run.dev_position_max_m, default=None)

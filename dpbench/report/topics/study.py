@@ -18,14 +18,14 @@ from dpbench.analysis.suites.study import (
     StudiedConfiguration,
     Study,
 )
-from dpbench.report.charts.study import behind, held_lines, held_maps
+from dpbench.report.charts.study import draw_excess_errors, draw_held_lines, draw_held_maps
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """Return the topic on studies; None without one."""
+    """Build the topic on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(
@@ -38,6 +38,7 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
+    """Yield sentences on a study: runs, larger errors, share held, tolerances."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -91,7 +92,7 @@ def _share_with_bound(share: float, study: Study) -> str:
 
 
 def _loosest_text(study: Study) -> str:
-    """Name the loosest tolerance of each solver that costs next to nothing."""
+    """State the loosest tolerance of each solver that costs next to nothing."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -106,6 +107,7 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
+    """Yield the figures of a study: share of seas held, and excess errors."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -113,16 +115,18 @@ def _study_figures(study: Study) -> Iterator[Figure]:
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
-        chart = held_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        chart = draw_held_maps(maps, title, keys[0], keys[1], drawn=drawn)
         where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
         caption = f"Share of seas {where}; a run that did not end is not held."
         yield Figure(f"study-held-{name}", chart, caption)
     elif keys:
-        chart = held_lines(maps, title, keys[0])
+        chart = draw_held_lines(maps, title, keys[0])
         yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
     table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
-        chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
+        chart = draw_excess_errors(
+            table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M
+        )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
             f"A dot a realisation{of}, the mean with its 95 % interval where there is one; the "
@@ -132,6 +136,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
+    """Yield the tables of a study: its configurations, and its points."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
@@ -151,6 +156,7 @@ def _study_tables(study: Study) -> Iterator[Table]:
 
 
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+    """Return a studied configuration's table row: runs held, cost, excess error."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     row = {
         "configuration": configuration.name,
@@ -167,6 +173,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
 
 
 def _difference_text(difference: PairedDifference, scale: float) -> str:
+    """Format a mean difference, scaled, with its interval."""
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
@@ -183,4 +190,5 @@ def _percent_text(share: float) -> str:
 
 
 def _mean_excess_m(configuration: StudiedConfiguration) -> float:
+    """Return a configuration's mean excess error [m]; 0 for the reference."""
     return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value

@@ -48,7 +48,7 @@ LIKE = 0.01
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Return the topic on power and wear; None without commanded thrusters."""
+    """Build the topic on power and wear of thrusters by solver; None without any."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
@@ -57,7 +57,7 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
-    rows = [row_of(name, of_it, best, requirements) for name, of_it in configurations.items()]
+    rows = [wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()]
     rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
@@ -77,6 +77,7 @@ def _load_sentence(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
+    """State how long a thruster is at its limit, and how many solvers get that right."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -91,10 +92,10 @@ def _load_sentence(
     )
 
 
-def row_of(
+def wear_row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """Return the cells of a configuration by their heads."""
+    """Return a configuration's table row: loops right, power, wear, deviation."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
@@ -109,7 +110,7 @@ def row_of(
 
 
 def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
-    """Return the largest ratio of a metric to that of the best loop, over the scenarios."""
+    """Format the largest ratio of a metric to that of the best loop."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
         return MISSING
@@ -117,7 +118,7 @@ def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: s
 
 
 def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
-    """Return the conclusion for a suite about thrusters, else None."""
+    """Build the topic of conclusions for an operator, for a suite about thrusters."""
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
@@ -134,7 +135,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
 
 
 def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
-    """Name the solver to use, and its share of the deadline."""
+    """State which solver to use for thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
     share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
@@ -147,7 +148,7 @@ def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
-    """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
+    """State which solvers pass with three forces but not with thrusters."""
     before = commanded.passing_with_forces
     if not before:
         fine, run = len(commanded.passing), len(commanded.with_thrusters)
@@ -167,11 +168,12 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _pass_verb(count: int) -> str:
+    """Return "pass" or "passes", as the number of solvers needs it."""
     return "passes" if count == 1 else "pass"
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """List solvers with their fault, those of the same fault together."""
+    """List solvers with what they fail by, those of the same fault together."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
@@ -179,7 +181,7 @@ def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
 def _state_offset_after_loss(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
-    """State how far off the ship is after thrusters are lost, where the answers are right."""
+    """State how far off the ship is after thrusters are lost."""
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
@@ -195,11 +197,11 @@ def _state_offset_after_loss(
 
 
 def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
-    """State the further losses that could be held, the solvers that report so, and their times."""
+    """State which further losses could be held, and which solvers report so."""
     analyses = consequence_analyses(records)
     if not analyses:
         return
-    yield f"{', '.join(map(_state_end, analyses)).capitalize()}."
+    yield f"{', '.join(map(_state_losses_at_end, analyses)).capitalize()}."
     own = answers_in_all(analyses)
     right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
@@ -220,7 +222,7 @@ def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str
 
 
 def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
-    """Return the name of the chosen configuration among some names; "" where it is none of them."""
+    """Return a configuration's name among given names; "" where it is none of them."""
     c = chosen.configuration
     level = "" if c.settings == "default" else f", {c.settings}"
     known = (
@@ -231,7 +233,7 @@ def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
     return next((name for name in known if name in names), "")
 
 
-def _state_end(analysis: ConsequenceAnalysis) -> str:
+def _state_losses_at_end(analysis: ConsequenceAnalysis) -> str:
     """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())

@@ -14,7 +14,12 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import verdicts_of
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import clauses, count_solvers, paired_text, requirements_text
+from dpbench.report.verdict_text import (
+    count_solvers,
+    describe_findings,
+    paired_text,
+    requirements_text,
+)
 
 REQUIREMENTS = Requirements()
 
@@ -27,7 +32,7 @@ def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
 
 def _why(verdict: Any) -> str:
     """What is said against a verdict, or left open, in the words of terminal and tables."""
-    return verdict.refusal or clauses(verdict.causes or verdict.missing)
+    return verdict.refusal or describe_findings(verdict.causes or verdict.missing)
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
@@ -131,7 +136,7 @@ def test_crashes_in_several_experiments_are_one_clause(records: Any) -> None:
     for scenario in ("paper", "calm", "rough"):
         records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
     records.replay("daqp")
-    assert clauses(_verdict(records, "daqp").causes) == (
+    assert describe_findings(_verdict(records, "daqp").causes) == (
         "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)"
     )
 
