@@ -59,8 +59,6 @@ class MeanEstimate:
     Intervals and p-values are Student's, widened on the long side of a skewed estimate by Hall's
     transformation (1992, J. R. Stat. Soc. B 54, 221-228), and never narrowed by it.
 
-    Parameters
-    ----------
     value, error : the mean and its standard error, 0 without spread and NaN if unknown; df : its
         degrees of freedom; skew : skewness of the estimate.
     """
@@ -205,8 +203,6 @@ def paired_ratio(slower: Floats, faster: Floats) -> Interval:
 def pooled_mean(logs: Sequence[Floats]) -> Interval:
     """Return the geometric mean ratio over sequences of log ratios, with its 95 % interval.
 
-    Parameters
-    ----------
     logs : the log ratios of the steps of each sequence, of which `select_long` are taken; an empty
         one makes the mean unknown.
     """

@@ -55,7 +55,7 @@ class Report:
     ) -> Report:
         """Build the report on the results of a folder; write no file.
 
-        designs, capability : as of `build_topics`; baseline : as of `write_report`.
+        baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
         data = PageData.of(records, verdicts_of(records, requirements))

@@ -36,8 +36,6 @@ MOST_NAMED = 4
 class Reproduction:
     """Outcome of reproducing the paper: summary lines, faults, completeness.
 
-    Parameters
-    ----------
     lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
     """

@@ -68,8 +68,6 @@ def _disarm_formula(value: Any) -> Any:
 class Table:
     """Table of text with heads, a title and a note, for page, file and Markdown.
 
-    Parameters
-    ----------
     heads : with units; note : population, route, machine, and what a failure counted as.
     text_columns : so many leading ones are left-aligned.
     shown : number of rows on the page, by default all, with 0 no table; a file has all of them.
@@ -110,7 +108,8 @@ def markdown_table(
 ) -> str:
     """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
-    return "\n".join(map(_markdown_row, [heads, align, *rows]))
+    lines = (" | ".join(map(markdown_cell, cells)) for cells in [heads, align, *rows])
+    return "\n".join(f"| {line} |" for line in lines)
 
 
 def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
@@ -127,8 +126,3 @@ def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table])
 def html_table(table: Table) -> str:
     """Return the table as plain HTML, for a notebook."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    """Format cells as one row of a Markdown table."""
-    return f"| {' | '.join(map(markdown_cell, cells))} |"

@@ -57,7 +57,7 @@ def write_report_with_summary(
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
     statement : file to write the one-page statement to, .pdf or .svg.
     send : folder to make that can be sent to others, see `documents/sent.py`.
-    solver, against : solvers to compare in `SOLVER.md`, see `documents/comment.py`.
+    solver, against : solvers to compare in `SOLVER.md`, see `compare_solver`.
 
     Raises
     ------

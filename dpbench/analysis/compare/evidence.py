@@ -59,8 +59,6 @@ is wider."""
 class Assessment:
     """Verdict on one step time ratio between two runs, with interval and p-values.
 
-    Parameters
-    ----------
     raw : ratio as measured; machine : factor taken out of it; ratio : raw / machine with an
         interval that holds for all ratios of the table together (Bonferroni).
     p_differs, p_equal : adjusted (Holm) for "beyond the margin" and "within the margin".
@@ -94,8 +92,6 @@ def remove_machine_factor(
 ) -> Evidence:
     """Divide out each group's common machine factor; estimate the log ratios left and their errors.
 
-    Parameters
-    ----------
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
     prior : of the noise between runs.
@@ -134,8 +130,6 @@ def remove_reference_factor(
 ) -> Evidence:
     """Divide each ratio by that of a reference solver in its group; estimate its error.
 
-    Parameters
-    ----------
     reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
     labels, rows = np.asarray(groups), np.arange(len(logs))

@@ -24,8 +24,6 @@ from dpbench.errors import InputError, UnknownNameError, list_allowed
 class Release:
     """Runs and step times of one solver version on one problem in one configuration.
 
-    Parameters
-    ----------
     runs : of every folder that has it, with the folder's name.
     p50, p99, largest : of the algorithmic step time, geometric mean over the folders, in ns, or as
         multiples of the reference solver's p50 in the same folder; NaN where nothing was timed.
@@ -102,8 +100,6 @@ class History:
 class Histories:
     """Version histories of all solvers in several result folders, and their time unit.
 
-    Parameters
-    ----------
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
     spread : the largest ratio between the folders of two p50 of one version of one configuration:
         what lies within it is no change; NaN where no version was run twice.

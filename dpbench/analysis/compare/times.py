@@ -57,8 +57,6 @@ sets without a library below them, so that a build matters least."""
 class Timing:
     """Log step time ratio B/A of one configuration on one sequence, with its error.
 
-    Parameters
-    ----------
     own : standard error from inside the runs.
     median_ns : the median step in A and in B [ns].
     k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
@@ -104,8 +102,6 @@ class Compared:
 class Shared:
     """Step time factor B/A that all configurations on one sequence have in common.
 
-    Parameters
-    ----------
     factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
         and the load kernel, NaN where a folder does not have it.
     assessment : on factor / what the kernels lead to expect; None where it cannot be judged, for
@@ -200,8 +196,6 @@ def compare_to_reference(
 ) -> list[Compared]:
     """Judge each step time ratio after division by that of a reference solver.
 
-    Parameters
-    ----------
     rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """
     groups = [t.problem for t in timings]
@@ -225,8 +219,6 @@ def compare_times(
 ) -> tuple[list[Compared], list[Shared]]:
     """Judge each configuration's step time ratio, and the factor each sequence shares.
 
-    Parameters
-    ----------
     unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
         configurations share, nor of those that only the reference kernel is compared with.
     """

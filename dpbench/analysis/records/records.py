@@ -146,10 +146,7 @@ class Records:
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Return the step times of a replay; None without a step that counts or if unranked.
-
-        Those of all that are timed are read at once when the first is asked for.
-        """
+        """Return the step times of a replay; None without a step that counts or if unranked."""
         if not self.is_ranked(run):
             return None
         if not self._times:

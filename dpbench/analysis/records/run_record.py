@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.record.cell import (
@@ -40,8 +40,6 @@ Mode = Literal["closed_loop", "replay"]
 class RunRecord:
     """One run of a solver configuration on one problem: a typed row of `runs.parquet`.
 
-    Parameters
-    ----------
     files : the documents of its scenario; empty where the row carries none.
     first, fallback, backup : as in its cell; "" where that has none.
     x : of a study, the values of its keys at the run's point.
@@ -258,10 +256,8 @@ class RunRecord:
         return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
-class _Table(BaseModel):
+class _Table(BaseModel, strict=True, extra="allow"):
     """Base of the JSON tables that are read here, other keys allowed."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
 
 
 class _Scenario(_Table):
@@ -305,10 +301,7 @@ def records_of(runs: pd.DataFrame) -> list[RunRecord]:
 
 
 def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """Parse a run's JSON description into record fields; keep equal parts only once.
-
-    The runs of a campaign have nearly equal ones: an equal part is kept once, in `shared`.
-    """
+    """Parse a run's JSON description into record fields; keep equal parts once, in `shared`."""
     if not cell.startswith("{"):
         return {}
     try:

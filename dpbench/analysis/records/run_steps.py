@@ -23,8 +23,6 @@ from dpbench.bench.record.recorded_steps import run_slices
 class CountingRows:
     """Arrays (N,) over the step rows that count, ordered by run; NaN where missing.
 
-    Parameters
-    ----------
     run_id, repeat, k : run, round and step.
     total_ns, iterations, error_move, n_active : as in the step table.
     known : whether the right answer is known; true : whether this one is, by the referee.
@@ -102,8 +100,6 @@ _FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 class RunSteps:
     """Steps of one run merged over its rounds: times, errors, iterations, flags (K,).
 
-    Parameters
-    ----------
     k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
     error, iterations : (K,) the largest over them, NaN where there is none.
     n_active : (K,) active limits at the optimum.

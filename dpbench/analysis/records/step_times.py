@@ -19,8 +19,6 @@ TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 class StepTimes:
     """Step times of one replayed configuration: fastest round, largest timing.
 
-    Parameters
-    ----------
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
     raw_max_ns : the largest single timing.
     rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
@@ -80,8 +78,6 @@ class Delays:
     step itself did next to nothing more than usual is neither late nor a stall: another program
     ran.
 
-    Parameters
-    ----------
     samples : (R,) timings of each round.
     base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
     step_ns : median over the timings.

@@ -41,8 +41,6 @@ class HardRow(NamedTuple):
 class ThinnedRun:
     """Selection of a run's steps that the page has room for, the hardest included.
 
-    Parameters
-    ----------
     steps : those that are kept; extra : (K,) which of them for being hard alone.
     last : the last step of the run, kept or not; is_whole : whether all are kept.
     hard : the hardest of all by each measure, the hardest first.
@@ -80,8 +78,6 @@ def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
     """Reduce the ship's positions and forces in a closed loop to `most` points.
 
-    Parameters
-    ----------
     limits : (3,) of the forces [N, N, N·m].
     """
     every = max(1, -(-len(steps) // most))

@@ -18,8 +18,6 @@ from dpbench.bench.record.configuration import Configuration
 class WorstStep:
     """Hardest step of a solver by one measure over all its runs.
 
-    Parameters
-    ----------
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
 

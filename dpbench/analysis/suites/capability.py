@@ -18,8 +18,6 @@ from dpbench.bench.record.cell import CapabilitySource
 class Answers:
     """Counts of a solver's right and wrong answers to static thrust allocation QPs.
 
-    Parameters
-    ----------
     asked : QPs of the batch; feasible, infeasible : how many of each it reached.
     balanced : claimed optima that are true; refused : infeasible ones rightly called so.
     wrong : untrue claims of either kind.
@@ -63,8 +61,6 @@ def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
 class CapabilityResult:
     """Capability plot of a vessel, and the solvers' answers to the QPs at its edge.
 
-    Parameters
-    ----------
     sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
     answers : the best configuration of each solver; empty where none was run.
@@ -89,8 +85,6 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
     """Return the capability plots of a result folder, in the order of its suite.
 
-    Parameters
-    ----------
     table : of `load_capability`; None where the folder has none.
     """
     at_edge = [run for run in records.at_edge if run.has_steps]

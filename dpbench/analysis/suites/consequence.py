@@ -31,8 +31,6 @@ SPAN = ("group", "from_s", "to_s", "state")
 class BatchAnswers:
     """Counts of a configuration's right and wrong answers in a consequence analysis.
 
-    Parameters
-    ----------
     asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
     missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
@@ -67,8 +65,6 @@ class BatchAnswers:
 class ConsequenceAnalysis:
     """Consequence analysis: when losses can be held, and what solvers answered.
 
-    Parameters
-    ----------
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
     """

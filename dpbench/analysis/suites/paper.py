@@ -7,7 +7,6 @@ predictive control design for dynamic positioning of a supply ship".
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -47,7 +46,8 @@ def find_laws(view: Records, scenario: str) -> LawPair:
     """Find the complete runs of the constrained and the clipped law in a scenario."""
     loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation_key, default=None)
+    off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
+    best = min(solved, key=lambda row: (off_m[row], row.solver), default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
     return LawPair(best, clipped, view.count_scenario_steps(scenario))
 
@@ -89,8 +89,6 @@ def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
 
     Forces and increments have each axis, then its limits.
 
-    Parameters
-    ----------
     figure : path, errors, forces or increments.
     """
     steps = law.steps
@@ -109,12 +107,6 @@ def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
         for i, axis in enumerate(AXIS_FORCES):
             columns |= {f"{what}_min_{axis}": low[i], f"{what}_max_{axis}": high[i]}
     return pd.DataFrame(columns)
-
-
-def _deviation_key(row: RunRecord) -> tuple[float, str]:
-    """Return a sort key of a run: smallest deviation from the exact loop first."""
-    value = row.dev_position_max_m
-    return (math.inf if math.isnan(value) else value, row.solver)
 
 
 def is_of_paper(view: Records, name: str) -> bool:
@@ -151,8 +143,6 @@ SAME = 0.01
 class ClaimFinding:
     """Evidence on one claim of the paper: criterion, state and values.
 
-    Parameters
-    ----------
     by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
     values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
     """

@@ -29,8 +29,6 @@ from dpbench.bench.record.configuration import settings_level
 class Tally:
     """Counts of true and false claims that solvers made on QP steps.
 
-    Parameters
-    ----------
     steps : certified steps that were reached; missed : asked for and never reached.
     right_claims, false_claims : claimed, and true or not; not_claimed : true and not claimed.
     right_refusals, wrong_refusals : called infeasible or unbounded, rightly and wrongly.

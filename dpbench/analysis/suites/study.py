@@ -57,8 +57,6 @@ EXACT_FIRST = ("paper_active_set", "daqp")
 class PairedDifference:
     """Difference of a figure between two configurations in the same realisations.
 
-    Parameters
-    ----------
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
@@ -91,8 +89,6 @@ class PairedDifference:
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
     """Return the mean difference one − other over realisations that both finished.
 
-    Parameters
-    ----------
     one, other : values indexed by (point, replicate).
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
@@ -114,8 +110,6 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
 def mean_over_points(values: Floats) -> MeanEstimate:
     """Estimate the mean over points of the means over realisations, with its error.
 
-    Parameters
-    ----------
     values : (points, realisations), NaN where a run is lost; each point has one at least.
     """
     known = np.isfinite(values)
@@ -148,8 +142,6 @@ def mean_over_points(values: Floats) -> MeanEstimate:
 class StudiedConfiguration:
     """Results of a configuration in a study: share held, cost, excess error.
 
-    Parameters
-    ----------
     runs, finished : how many it was given, and how many came to their end.
     held : share of runs whose radial error stays within the radius in their second half; a run
         that did not end is not held.
@@ -184,11 +176,8 @@ class StudiedConfiguration:
     @property
     def has_larger_error(self) -> bool:
         """True if the radial error is significantly larger than the reference's."""
-        return (
-            self.error_excess_m is not None
-            and self.differs
-            and self.error_excess_m.estimate.value > 0.0
-        )
+        excess = self.error_excess_m
+        return excess is not None and self.differs and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
@@ -275,7 +264,7 @@ class Study:
         known = [
             self._summarise_configuration(str(name)) for name in self.runs["configuration"].unique()
         ]
-        known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
+        known.sort(key=lambda c: (c.name != self.reference, np.nan_to_num(abs(c.cost), nan=np.inf)))
         reference, *others = known
         adjusted = [
             adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
@@ -359,8 +348,3 @@ def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
     if find_solver_record(solver) is not None and not has_tolerance_levels(solver):
         return 1, 0.0
     return (3, 0.0) if tolerance is None else (2, tolerance)
-
-
-def _nan_last(value: float) -> float:
-    """Return infinity for NaN, so that missing values sort last."""
-    return np.inf if math.isnan(value) else value

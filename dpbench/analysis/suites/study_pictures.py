@@ -61,10 +61,7 @@ def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
 
 
 def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """Return each configuration's mean excess error, its values by sea [cm], their count.
-
-    They are excess errors of configurations over the reference.
-    """
+    """Return each configuration's mean excess error, its values by sea [cm], their count."""
     reference = study.values(study.reference, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0

@@ -159,8 +159,6 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 class RouteGain:
     """Speed-up of one call mode of a solver over its neighbouring call mode.
 
-    Parameters
-    ----------
     gain : geometric mean of the neighbour's time over this one's, over their common steps.
     median_ns : median of its algorithmic step time.
     """

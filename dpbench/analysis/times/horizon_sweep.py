@@ -187,21 +187,16 @@ def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requ
         assert horizons is not None  # or it would be of no problem that is swept
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
-            of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _build_point(records, run, requirements))
+            times = records.times(run)
+            whole = times is not None and len(times.algo_ns) == run.steps_planned
+            point = SweepPoint(run, times if whole else None, is_right(run, requirements))
+            points.setdefault(run.configuration, {}).setdefault(horizons, point)
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
         sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )
-
-
-def _build_point(records: Records, run: RunRecord, requirements: Requirements) -> SweepPoint:
-    """Return a replay's times and accuracy; without times if it stopped early."""
-    times = records.times(run)
-    whole = times is not None and len(times.algo_ns) == run.steps_planned
-    return SweepPoint(run, times if whole else None, is_right(run, requirements))
 
 
 def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:

@@ -185,8 +185,6 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
     """Tabulate the hardest steps of every run by time, iterations and error.
 
-    Parameters
-    ----------
     kept : by run id.
     """
     labels = {
@@ -230,8 +228,6 @@ def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 class LevelPoint:
     """Step times and error of a solver at one settings level, over all sequences.
 
-    Parameters
-    ----------
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
         so that both are of the same steps; where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
@@ -249,8 +245,6 @@ def level_points(
 ) -> dict[str, list[LevelPoint]]:
     """Return each solver's times and error at its settings levels, in one call mode.
 
-    Parameters
-    ----------
     sequences : all of which a configuration was replayed on, or it has no point.
     modes : route and policy by solver; one that is not in it has no points.
     """

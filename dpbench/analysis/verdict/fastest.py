@@ -95,8 +95,6 @@ def _ranking_time_ns(verdict: Verdict) -> float:
 class SolverChoice:
     """Recommended solver of a result folder, the runner-up, and a faster one.
 
-    Parameters
-    ----------
     chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
     faster : the fastest of all, where that is another one; `because` is why it is not chosen.

@@ -56,8 +56,6 @@ OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 class Finding:
     """Reason for a verdict on a configuration: a fault, doubt, near limit or gap.
 
-    Parameters
-    ----------
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
     steps : the steps or timings of the figure.

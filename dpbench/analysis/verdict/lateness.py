@@ -74,8 +74,6 @@ PASSES = 3
 class LateTimings:
     """Late timings of one run, with the share that the machine explains.
 
-    Parameters
-    ----------
     late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
@@ -127,7 +125,8 @@ def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
     """Test every replay and closed loop for late timings; return those found by run id."""
-    runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
+    scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
+    runs = [run for run in scaled if not (run.is_baseline_law or run.slowdown > 0.0)]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
@@ -153,11 +152,6 @@ def find_late_timings(
     }
     adjusted = (test for family in tests.values() for test in adjust_p_values(family))
     return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
-
-
-def _is_tested(run: RunRecord) -> bool:
-    """Return whether a run is tested for late timings: a solver's, not slowed down."""
-    return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
 
 
 def _usable_delays(run: RunRecord, delays: Delays) -> Delays:

@@ -83,8 +83,6 @@ class RunMatrix:
     ) -> Self:
         """Arrange a folder's runs by configuration and experiment; judge each cell.
 
-        Parameters
-        ----------
         studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
         runs: dict[tuple[Configuration, Experiment], RunRecord] = {}

@@ -27,8 +27,6 @@ from dpbench.bench.record.configuration import Configuration
 class SlowStep:
     """Step whose solve time limits how slow a computer may be.
 
-    Parameters
-    ----------
     time_ns : its algorithmic time; k : the sample of the scenario.
     iterations : the solver's own count, NaN without one; n_active : active limits at the optimum.
     """
@@ -44,8 +42,6 @@ class SlowStep:
 class SpeedMargin:
     """How much slower a computer may be, and the steps that limit it.
 
-    Parameters
-    ----------
     hardest : the step with the largest algorithmic time.
     p99 : the step whose time is the largest p99 of all replays; the hardest step where none
         supports a p99.

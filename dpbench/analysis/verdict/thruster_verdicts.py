@@ -20,8 +20,6 @@ Fault = Literal["too late", "wrong", "too late or wrong"]
 class ThrusterVerdicts:
     """Verdict of each solver with thrusters and with three forces commanded.
 
-    Parameters
-    ----------
     forces : scenarios whose controller commands three forces.
     with_forces, with_thrusters : the best verdict on any configuration of each solver; the first
         is empty where the suite has no such scenario.

@@ -29,8 +29,6 @@ class Uncertainty:
     is timed once, maybe in a slow round: the upper quartile of them, as other work may have
     disturbed one round.
 
-    Parameters
-    ----------
     middle, slow, slowest : by configuration, the median of the middle round, of the upper quartile
         and of the slowest round over that of the fastest, the largest of its replays.
     usual : the quantile `QUANTILE` of `middle`, at least `LEAST`.

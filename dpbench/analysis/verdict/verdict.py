@@ -40,8 +40,6 @@ from dpbench.solvers.record import POLICIES
 class Verdict:
     """Verdict on one configuration: its state, the reasons, times and errors.
 
-    Parameters
-    ----------
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
@@ -121,8 +119,6 @@ def verdicts_of(
 ) -> Verdicts:
     """Judge all configurations of all solvers by the requirements, in suite order.
 
-    Parameters
-    ----------
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
     runs = records.runs if among is None else among
@@ -168,8 +164,6 @@ def verdict_of(
 ) -> Verdict:
     """Judge one configuration by its runs and the requirements.
 
-    Parameters
-    ----------
     runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
     ran = [run for run in runs if run.outcome != "refused"]

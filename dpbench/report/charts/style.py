@@ -143,6 +143,7 @@ _WORDS: dict[str, Any] = {
 
 def set_style(chart: Any, title: str, description: str) -> Any:
     """Set title, description and common style of a chart in place."""
+    # Altair's own methods would copy all of its parts.
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description
     chart.background = "transparent"

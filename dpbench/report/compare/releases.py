@@ -47,8 +47,6 @@ BUSY = 0.05
 class Releases:
     """Comparison of solver versions over several result folders, in text and tables.
 
-    Parameters
-    ----------
     lines : what was compared; tables : one a solver of several versions, and one of all the others.
     requirements : of the first folder.
     """

@@ -73,11 +73,7 @@ def study_document(
 
 
 def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
-    """Choose the worst run of a study, with which a page opens; None without one.
-
-    Of the configuration that holds fewest seas, or else the one farthest from the exact loop; a sea
-    that it does not hold, or else the one in which it is farthest off.
-    """
+    """Choose the worst run of a study, with which a page opens; None without one."""
     kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
     worst = worst_run(study, list(kept))
     return None if worst is None else kept[worst]
@@ -153,8 +149,9 @@ class PageData(RunMatrix):
         """Yield each run's figures, packed steps and hardest steps, for the page's script."""
         references: dict[int, Track] = {}
         hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
-        order = sorted(self.runs, key=lambda key: (key[1], self._deviation_m(self.runs[key])))
-        for c, p in order:
+        # The run nearest to the exact loop comes first: the others' tracks refer to it.
+        off_m = {k: np.nan_to_num(r.dev_position_max_m, nan=np.inf) for k, r in self.runs.items()}
+        for c, p in sorted(self.runs, key=lambda key: (key[1], off_m[key])):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
@@ -193,11 +190,6 @@ class PageData(RunMatrix):
             return None
         vessel = scenario.vessel
         return np.maximum(vessel.tau_max, -vessel.tau_min)
-
-    @staticmethod
-    def _deviation_m(run: RunRecord) -> float:
-        """Return a run's largest deviation from the exact loop [m]; inf if unknown."""
-        return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
 
 
 def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:

@@ -32,7 +32,7 @@ def page_document(
 ) -> dict[str, Any]:
     """Return all data of the page but the charts, for its scripts.
 
-    words : descriptions of experiments, by number.
+    Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}

@@ -108,8 +108,8 @@ def _replayed_configurations(data: PageData) -> set[int]:
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Pack the half-width of the log time ratio of each two configurations."""
-    timed, reach = pair_half_widths(data)
-    return {"paired": {"c": timed, "reach": data.block.log(reach)}}
+    timed, widths = pair_half_widths(data)
+    return {"paired": {"c": timed, "reach": data.block.log(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:

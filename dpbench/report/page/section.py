@@ -11,17 +11,10 @@ from dpbench.report.page.data import PageData
 from dpbench.report.table import Table
 
 
-def _empty_dictionary(*_: object) -> dict[str, Any]:
-    """Return an empty dictionary: the default charts and data of a section."""
-    return {}
-
-
 @dataclass(frozen=True)
 class Section:
     """Part of the page that follows the reader's selection, with template and script.
 
-    Parameters
-    ----------
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those of them that are on the page before any script has run.
     data : further data of its script, by name; text : paragraph for its template.
@@ -31,9 +24,9 @@ class Section:
 
     id: str
     name: str
-    charts: Callable[[PageData], dict[str, Any]] = _empty_dictionary
+    charts: Callable[[PageData], dict[str, Any]] = lambda _: {}
     drawn: tuple[str, ...] = ()
-    data: Callable[[PageData, Results], dict[str, Any]] = _empty_dictionary
+    data: Callable[[PageData, Results], dict[str, Any]] = lambda *_: {}
     text: Callable[[PageData], str] = lambda _: ""
     always: bool = False
     live: bool = False
