@@ -34,7 +34,11 @@ class StepTimes:
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Yield the id and step times of each run in a table of steps."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
-        yield run_id, merge_rounds(repeat, k, total_ns)
+        best = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(best, k, total_ns)
+        done = np.flatnonzero(np.isfinite(best))
+        rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
+        yield run_id, StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
 
 
 def _counting_rows(
@@ -47,15 +51,6 @@ def _counting_rows(
     for run_id, (first, end) in run_slices(counting["run_id"]).items():
         own = slice(first, end)
         yield run_id, repeat[own], k[own], [column[own] for column in columns]
-
-
-def merge_rounds(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
-    """Reduce the timings (N,) of one replay to the fastest round of each step."""
-    best = np.full(int(k.max()) + 1, np.inf)
-    np.minimum.at(best, k, total_ns)
-    done = np.flatnonzero(np.isfinite(best))
-    rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
-    return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
 
 
 DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")

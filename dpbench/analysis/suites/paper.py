@@ -52,11 +52,6 @@ def find_laws(view: Records, scenario: str) -> LawPair:
     return LawPair(best, clipped, view.count_scenario_steps(scenario))
 
 
-def find_paper_laws(view: Records, name: str) -> LawPair:
-    """Find both laws' runs, if the scenario equals the paper's own; else none."""
-    return find_laws(view, name) if is_of_paper(view, name) else LawPair(None, None)
-
-
 @dataclass(frozen=True, eq=False)
 class Law:
     """Closed loop under one control law: its label and its steps."""
@@ -170,7 +165,8 @@ SMALLER = {
 
 def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
     """Judge a claim of the paper by the runs of its control laws."""
-    pair = find_paper_laws(records, scenario)
+    is_own = is_of_paper(records, scenario)
+    pair = find_laws(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:

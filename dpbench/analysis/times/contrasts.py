@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,21 +71,13 @@ def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
-def pooled_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
-    """Return the step time ratio second/first over pairs of replays, with interval.
-
-    Each pair has equal weight; unknown where there are none.
-    """
-    common = (match_steps(first, second) for first, second in replays)
-    return pooled_mean([np.log(second / first) for first, second in common if len(first)])
-
-
 def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
     """Return half the interval width of two configurations' log time ratio, or NaN.
 
-    Both by the number of the replay.
+    first, second : step times by the index of the replay.
     """
-    ratio = pooled_ratio((first[place], second[place]) for place in first if place in second)
+    common = (match_steps(first[p], second[p]) for p in first if p in second)
+    ratio = pooled_mean([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 

@@ -105,7 +105,9 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
-            "longest_ms": _longest_ms(matrix, verdict),
+            "longest_ms": nan
+            if (longest := matrix.longest_timing(verdict.configuration)) is None
+            else longest[1].raw_max_ns / 1e6,
             "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
@@ -113,12 +115,6 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(TIMES))
-
-
-def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
-    """Return a configuration's largest single timing [ms]; NaN without one."""
-    longest = matrix.longest_timing(verdict.configuration)
-    return nan if longest is None else longest[1].raw_max_ns / 1e6
 
 
 def experiment_table(matrix: RunMatrix) -> pd.DataFrame:

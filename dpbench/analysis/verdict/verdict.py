@@ -176,7 +176,9 @@ def verdict_of(
     times += time_findings.report_late_timings(ran, late_timings)
     times += time_findings.find_hidden_work(ran)
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_find_wrong_answers(ran, requirements), *_find_solver_crashes(ran), *late]
+    own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
+    ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
+    causes = [*_find_wrong_answers(ran, requirements), *ended, *late]
     doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
@@ -250,12 +252,6 @@ def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -
         *worst_first("inaccurate", wrong, lambda run: run.error_move_max),
         *worst_first("failed", failing, lambda run: run.failed_steps),
     ]
-
-
-def _find_solver_crashes(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find the runs in which the solver crashed or hung."""
-    ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
-    return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
 
 
 def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:

@@ -87,9 +87,8 @@ def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the change of force in each step with the rate limits (Figure 7)."""
     most = scenario.force_step_max
     panels = _draw_axes(laws, "dtau", "Δ", -most, most)
-    return style.set_style(
-        panels, "Increments", "Change of the force in each step, with its limits."
-    )
+    about = "Change of the force in each step, with its limits."
+    return style.set_style(panels, "Increments", about)
 
 
 def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
@@ -112,12 +111,9 @@ def _draw_force(
     far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
     corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
     note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
-    beside = (
-        _draw_limits(near)
-        if near
-        else style.inline_chart({}).properties(mark=note).encode(**corner)
-    )
-    return alt.layer(_draw_law_lines(table, laws, title, last="yaw" in title), beside)
+    words = style.inline_chart({}).properties(mark=note).encode(**corner)
+    lines = _draw_law_lines(table, laws, title, last="yaw" in title)
+    return alt.layer(lines, _draw_limits(near) if near else words)
 
 
 def _long_table(laws: Sequence[Law], value: Any) -> pd.DataFrame:

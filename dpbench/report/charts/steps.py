@@ -25,28 +25,16 @@ def draw_step_strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_lim
     """
     at = alt.param(name="at", value=-1)
     steps = _named_chart("steps", table)
-    rule = (
-        style.inline_chart({})
-        .mark_rule(color=style.ACCENT, strokeWidth=1.5)
-        .transform_calculate(at="at")
-    )
-    rule = rule.transform_filter("datum.at >= 0").encode(x="at:Q").add_params(at)
+    rule = style.inline_chart({}).mark_rule(color=style.ACCENT, strokeWidth=1.5).add_params(at)
+    rule = rule.transform_calculate(at="at").transform_filter("datum.at >= 0").encode(x="at:Q")
     panels = [
         (110, _draw_step_times(steps.encode(x=_step_axis()))),
         (90, _draw_step_errors(steps.encode(x=_step_axis()), error_limit)),
         (80, _draw_iterations(steps.encode(x=_step_axis(last=forces is None)))),
     ]
     if forces is not None:
-        panels.append(
-            (
-                90,
-                [
-                    _draw_force_shares(
-                        _named_chart("forces", forces).encode(x=_step_axis(last=True))
-                    )
-                ],
-            )
-        )
+        base = _named_chart("forces", forces).encode(x=_step_axis(last=True))
+        panels.append((90, [_draw_force_shares(base)]))
     chart = alt.vconcat(
         *(alt.layer(*parts, rule, height=height, width=_WIDTH) for height, parts in panels),
         spacing=6,

@@ -196,15 +196,8 @@ def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
     """Return a run's hardest steps by each measure as lists of figures."""
     return [
         [
-            [
-                row.k,
-                json_number(row.value),
-                row.status,
-                int(row.claimed),
-                int(row.true),
-                row.n_active,
-            ]
-            for row in run.hard[measure][:count]
+            [h.k, json_number(h.value), h.status, int(h.claimed), int(h.true), h.n_active]
+            for h in run.hard[measure][:count]
         ]
         for measure in MEASURES
     ]

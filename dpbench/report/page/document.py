@@ -109,10 +109,8 @@ def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
-    return {
-        "longest": json_number(run.raw_max_ns),
-        "longest_at": data.experiments.index(experiment),
-    }
+    p = data.experiments.index(experiment)
+    return {"longest": json_number(run.raw_max_ns), "longest_at": p}
 
 
 def _opening_selection(

@@ -57,9 +57,8 @@ MATRIX = (
 def _matrix_text(data: PageData) -> str:
     """Explain the tiles of verdicts, and how many experiments are left out."""
     tiles = experiment_table(data)
-    there, drawn = (
-        t["experiment"].nunique() if len(t) else 0 for t in (tiles, select_tiles(tiles))
-    )
+    tables = tiles, select_tiles(tiles)
+    there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
         wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
@@ -94,11 +93,8 @@ def _draw_strips(data: PageData) -> Charts:
 
 def _draw_pairs(data: PageData) -> Charts:
     """Draw the empty chart of two solvers' step times, which the page's script fills."""
-    return (
-        {"pairs": draw_step_pairs("first", "second")}
-        if len(_replayed_configurations(data)) > 1
-        else {}
-    )
+    has_pair = len(_replayed_configurations(data)) > 1
+    return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
 
 
 def _replayed_configurations(data: PageData) -> set[int]:

@@ -56,14 +56,14 @@ class Block:
 
     def log(self, values: ArrayLike, places: int | None = None) -> int:
         """Add positive numbers of many decades as uint16 logarithms; return their index."""
-        return self._append_array("log", log_codes(values), 1.0, places)
+        return self._add_array("log", log_codes(values), 1.0, places)
 
     def linear(self, values: ArrayLike, scale: float) -> int:
         """Add numbers as int16 multiples of `scale`; return the index of the array."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
-        return self._append_array(
+        return self._add_array(
             "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
         )
 
@@ -71,22 +71,20 @@ class Block:
         """Add whole numbers up to 65534, NaN if missing; return the index of the array."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._append_array(
-            "count", _encode_differences(codes.astype(np.uint16)), 1.0, places
-        )
+        return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
     def flag(self, values: ArrayLike, places: int | None = None) -> int:
         """Add bytes of bit flags; return the index of the array."""
-        return self._append_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
+        return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
     def place(self, values: ArrayLike, length: int) -> int:
         """Add rising indices below `length`; ValueError if two are over 65535 apart."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
-        return self._append_array("place", apart.astype(np.uint16), length)
+        return self._add_array("place", apart.astype(np.uint16), length)
 
-    def _append_array(
+    def _add_array(
         self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None
     ) -> int:
         """Append encoded values to the block; return the index of the array."""

@@ -129,9 +129,7 @@ def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
     c = chosen.configuration
     heads = {"pass": "Use", "borderline": "Borderline:"}
     head = heads.get(chosen.state, "Nothing contradicts")
-    lacks = (
-        "" if chosen.state == "pass" else f"; {strip_markdown(describe_findings(chosen.missing))}"
-    )
+    lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
         f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
@@ -189,11 +187,7 @@ def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[s
         if verdict.configuration.solver != known
     ]
     for verdict in others[:MOST_INCONCLUSIVE]:
-        why = (
-            "not run in closed loop"
-            if not verdict.loops
-            else strip_markdown(describe_findings(verdict.missing))
-        )
+        why = Recommendation.why(verdict) if verdict.loops else "not run in closed loop"
         yield (
             "inconclusive",
             f"{verdict.configuration.label} is faster on average, and inconclusive: {why}.",

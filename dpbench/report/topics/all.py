@@ -73,18 +73,11 @@ _CONTRASTS = ("formulations", "race", "routes", "levels")
 """Questions about the same replays, in their order of precedence; a page answers one."""
 
 
-def _is_mostly_other_forms(records: Records) -> bool:
-    """Return whether over a third of the runs are in an uncommon QP formulation."""
-    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
-    return 3 * (len(ships) - len(records.runs)) > len(ships)
-
-
 def _leading_topic(records: Records, topics: Sequence[str]) -> str:
     """Return the id of the topic on the suite's question; "" for which solver to use."""
-    if "worst-case" in topics:
-        return "worst-case"
-    if "conclusion" in topics:
-        return "conclusion"
+    for name in ("worst-case", "conclusion"):
+        if name in topics:
+            return name
     if not records.runs:
         requested = ("study", "slowdown", "random", "consequence", "capability", "trust")
         return next((id for id in requested if id in topics), "")
@@ -92,7 +85,9 @@ def _leading_topic(records: Records, topics: Sequence[str]) -> str:
         return ""
     if _is_all_in_mode(records, "replay"):
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
-    if "formulations" in topics and _is_mostly_other_forms(records):
+    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
+    is_mostly_uncommon = 3 * (len(ships) - len(records.runs)) > len(ships)
+    if "formulations" in topics and is_mostly_uncommon:
         return "formulations"
     if not _is_all_in_mode(records, "closed_loop"):
         return ""

@@ -206,13 +206,9 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     silent = sum(1 for a in answers if a.silent)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
-    return f"{head}; {_missed_alarms_text(answers)}{unanswered}."
-
-
-def _missed_alarms_text(answers: Sequence[BatchAnswers]) -> str:
-    """State how often configurations call a loss held that cannot be held."""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
-    return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    return f"{head}; {alarms}{unanswered}."
 
 
 def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:

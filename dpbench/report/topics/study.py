@@ -158,11 +158,13 @@ def _study_tables(study: Study) -> Iterator[Table]:
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     """Return a studied configuration's table row: runs held, cost, excess error."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
+    cost = configuration.cost
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
         "held": _share_with_bound(configuration.held, study),
-        "cost over exact": f"{_percent_text(configuration.cost)} %",
+        # Rounding alone is 0.
+        "cost over exact": f"{significant(100.0 * cost, 2) if abs(cost) >= NOTHING else 0} %",
         "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
         "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
     }
@@ -182,11 +184,6 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
         return f"{significant(value, 2)} in all {difference.pairs}"
     low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
-
-
-def _percent_text(share: float) -> str:
-    """Format a share in percent to two digits; rounding alone is 0."""
-    return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
 
 
 def _mean_excess_m(configuration: StudiedConfiguration) -> float:
