@@ -190,7 +190,7 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     )
 
 
-def select_long(logs: Sequence[Floats]) -> list[Floats]:
+def select_long_sequences(logs: Sequence[Floats]) -> list[Floats]:
     """Return the step sequences long enough for an interval; all of them where none is."""
     return [one for one in logs if has_interval_support(len(one))] or list(logs)
 
@@ -203,12 +203,12 @@ def paired_ratio(slower: Floats, faster: Floats) -> Interval:
 def pooled_mean(logs: Sequence[Floats]) -> Interval:
     """Return the geometric mean ratio over sequences of log ratios, with its 95 % interval.
 
-    logs : the log ratios of the steps of each sequence, of which `select_long` are taken; an empty
-        one makes the mean unknown.
+    logs : by sequence, the log ratios of its steps; only long sequences count where there are any,
+        and an empty one makes the mean unknown.
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = [estimate_mean(one) for one in select_long(logs)]
+    means = [estimate_mean(one) for one in select_long_sequences(logs)]
     errors = np.array([one.error for one in means])
     fourth = float((errors**4 / np.array([max(1.0, one.df) for one in means])).sum())
     pooled = MeanEstimate(

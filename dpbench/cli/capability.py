@@ -92,7 +92,7 @@ def _figure_file(name: str | None) -> Path | None:
 
 def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
     from dpbench.report.charts.capability import COLUMNS as DRAWN
-    from dpbench.report.charts.capability import draw_rose
+    from dpbench.report.charts.capability import draw_capability_rose
     from dpbench.report.charts.render import save_figure
 
     rows = [
@@ -101,7 +101,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
     title = f"{vessel.title}: largest wind held"
-    save_figure(draw_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+    save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:

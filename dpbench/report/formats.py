@@ -22,7 +22,7 @@ def time_text(nanoseconds: float) -> str:
     return f"{significant(nanoseconds / 1e9)} s"
 
 
-def micro_text(nanoseconds: float) -> str:
+def microseconds_text(nanoseconds: float) -> str:
     """Format a duration in µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
@@ -82,7 +82,7 @@ def share_text(share: float) -> str:
     return f"{min(max(percent, 0.1), 99.9):.1f} %"
 
 
-def of_sample_text(share: float) -> str:
+def sample_share_text(share: float) -> str:
     """Format a share of the sample in percent, two significant digits; it may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 

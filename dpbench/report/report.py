@@ -13,11 +13,11 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
     calibration_medians,
     delayed_runs,
-    disturbance_of,
     timed_runs,
+    total_disturbance,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
@@ -58,7 +58,7 @@ class Report:
         baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
-        data = PageData.of(records, verdicts_of(records, requirements))
+        data = PageData.of(records, judge_solvers(records, requirements))
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
@@ -97,7 +97,7 @@ class Report:
         if verdicts.of:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
         records = self.data.records
-        disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
+        disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:
             rows.append(("machine", f"{disturbance_text(disturbance)}."))
         if medians := calibration_medians(records.calibration):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, Law, figure_data, find_paper_runs
+from dpbench.analysis.suites.paper import PAPER, Law, find_paper_runs, paper_figure_data
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
@@ -106,7 +106,7 @@ def _write_paper_figures(
         name = f"figure{number}_{short}"
         for kind in FORMATS:
             write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
-        data = pd.concat([figure_data(short, law, scenario) for law in laws])
+        data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 

@@ -14,7 +14,7 @@ from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
-from dpbench.report.documents.sent import PAGE, prepare_folder
+from dpbench.report.documents.sent import PAGE, prepare_sent_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
@@ -81,7 +81,7 @@ def write_report_with_summary(
         page = folder / "report.html"
         write_text(page, _render_report_page(folder, report))
         if send is not None:
-            prepare_folder(folder, Path(send))
+            prepare_sent_folder(folder, Path(send))
             write_text(Path(send) / PAGE, _render_report_page(Path(send), report, light=True))
         ended = report.summary_rows()
         if solver is not None:

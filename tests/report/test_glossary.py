@@ -28,7 +28,7 @@ from dpbench.cli.listing import list_table
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.compare.comparison import answers_table, solvers_table, times_table
+from dpbench.report.compare.comparison import changes_table, solvers_table, times_table
 from dpbench.report.glossary import glossary_markdown, term_meanings, topics
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
@@ -98,7 +98,7 @@ def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
 
 @pytest.mark.parametrize(
     "table",
-    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), answers_table([CHANGED], 0.05)],
+    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), changes_table([CHANGED], 0.05)],
     ids=["solvers", "times", "answers"],
 )
 def test_every_head_of_a_comparison_is_explained(table: Table) -> None:

@@ -62,7 +62,7 @@ DONE = Measure("steps_done", "steps done", False, False, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FigureChange:
     """One figure of a pair of runs: its range over the rounds of A and of B, and its change."""
 
     pair: Pair
@@ -79,13 +79,15 @@ class Answer:
         return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
 
 
-def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
+def compare_figures(
+    a: Records, b: Records, pairs: Sequence[Pair], margin: float
+) -> list[FigureChange]:
     """Compare the accuracy and control figures of each pair of runs."""
     answers = []
     for pair in pairs:
         for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
             change = _classify_change(measure, in_a, in_b, margin) if repeats else "not comparable"
-            answers.append(Answer(pair, measure, in_a, in_b, change))
+            answers.append(FigureChange(pair, measure, in_a, in_b, change))
     return answers
 
 

@@ -79,7 +79,7 @@ class Timing:
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ComparedTimes:
     """Step time ratio of one configuration between two runs, with the verdict on it."""
 
     timing: Timing
@@ -99,7 +99,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Shared:
+class SharedFactor:
     """Step time factor B/A that all configurations on one sequence have in common.
 
     factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
@@ -117,7 +117,7 @@ class Shared:
     unjudged: str
 
 
-def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
+def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """Compute the step time ratio of each pair of replays that was timed."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
     # A window has too few steps for an interval, and each claim costs the others power.
@@ -147,9 +147,9 @@ def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -
         if not np.isfinite(_kernel_ratios(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
-            reasons[name] = f"{_name_runs(disturbed)} disturbed"
+            reasons[name] = f"{_flagged_runs_text(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_name_runs(hidden)}"
+            reasons[name] = f"nothing tells how quiet {_flagged_runs_text(hidden)}"
         else:
             reasons[name] = ""
     return reasons
@@ -193,7 +193,7 @@ def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
 
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
-) -> list[Compared]:
+) -> list[ComparedTimes]:
     """Judge each step time ratio after division by that of a reference solver.
 
     rows : (N,) as of `reference_rows`; the timings they name have no verdict.
@@ -206,17 +206,17 @@ def compare_to_reference(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
     )
     assessments = assess_ratios(family, margin, alpha) if len(judged) else []
-    return [Compared(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
+    return [ComparedTimes(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
-def _name_runs(of: Sequence[bool]) -> str:
+def _flagged_runs_text(of: Sequence[bool]) -> str:
     """Return "run A was", "run B was" or "both runs were", as two flags tell."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
-) -> tuple[list[Compared], list[Shared]]:
+) -> tuple[list[ComparedTimes], list[SharedFactor]]:
     """Judge each configuration's step time ratio, and the factor each sequence shares.
 
     unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
@@ -247,14 +247,14 @@ def compare_times(
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
     assessments = assess_ratios(family, margin, alpha)
-    compared = [Compared(*both) for both in zip(timings, assessments, strict=False)]
+    compared = [ComparedTimes(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
     shared = []
     for name, machine in machines.items():
         common_logs = factors[name], machine.kernel, machine.load
         factor, kernel, load = (float(np.exp(log)) for log in common_logs)
         assessment, count = None if unjudged[name] else next(rest), groups.count(name)
-        shared.append(Shared(name, factor, kernel, load, count, assessment, unjudged[name]))
+        shared.append(SharedFactor(name, factor, kernel, load, count, assessment, unjudged[name]))
     return compared, shared
 
 

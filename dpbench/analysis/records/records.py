@@ -8,7 +8,7 @@ from functools import cached_property
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, records_of
+from dpbench.analysis.records.run_record import RunRecord, build_records
 from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_rows, run_steps
 from dpbench.analysis.records.step_times import (
     DELAY_COLUMNS,
@@ -41,7 +41,7 @@ class Records:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        every = records_of(results.runs)
+        every = build_records(results.runs)
         runs = [run if self.is_ranked(run) else run.without_times() for run in every]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]

@@ -177,7 +177,7 @@ class RunRecord:
         return isinstance(self.source, CapabilitySource)
 
     @property
-    def exported_by(self) -> str:
+    def export_argument(self) -> str:
         """Argument by which `dpbench export` finds the run's QPs: file or name."""
         path = self.source.path if isinstance(self.source, RecordedSource) else ""
         return path or self.scenario or self.sequence
@@ -217,7 +217,7 @@ class RunRecord:
         return self.files if "scenario" in self.files else None
 
     @property
-    def steers_thrusters(self) -> bool:
+    def commands_thrusters(self) -> bool:
         """True if the controller commands thrusters instead of three forces."""
         scenario = (self.scenario_files or {}).get("scenario")
         return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
@@ -289,7 +289,7 @@ class _RunDescription(_Table):
     backup: str = ""
 
 
-def records_of(runs: pd.DataFrame) -> list[RunRecord]:
+def build_records(runs: pd.DataFrame) -> list[RunRecord]:
     """Convert a table of runs to typed records, one per row."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]

@@ -94,7 +94,7 @@ MOST = 2000
 """So many points of a run a figure draws: four and more a pixel."""
 
 
-def common_length(lengths: Sequence[int], most: int) -> int:
+def common_length_limit(lengths: Sequence[int], most: int) -> int:
     """Return the common upper limit of some lengths that makes their sum at most `most`."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):

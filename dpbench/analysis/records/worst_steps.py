@@ -37,7 +37,7 @@ class WorstStep:
         """Shell command that exports the step's QP with its certified optimum."""
         run = self.run
         k = self.k + run.first_step
-        return f"dpbench export {run.exported_by} --at {k} --out worst-{self.measure}.npz"
+        return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:

@@ -36,12 +36,12 @@ class Answers:
     max_ns: float
 
     @property
-    def silent(self) -> int:
+    def unanswered(self) -> int:
         """Number of QPs without an answer, those never reached included."""
         return self.asked - self.right - self.wrong
 
     @property
-    def all_right(self) -> bool:
+    def is_all_right(self) -> bool:
         """True if every QP was answered correctly."""
         return self.right == self.asked
 

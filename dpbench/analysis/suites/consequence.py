@@ -51,12 +51,12 @@ class BatchAnswers:
     largest: float
 
     @property
-    def silent(self) -> int:
+    def unanswered(self) -> int:
         """Number of QPs without an answer, those never reached included."""
         return self.asked - self.held - self.refused - self.untrue
 
     @property
-    def all_right(self) -> bool:
+    def is_all_right(self) -> bool:
         """True if every QP was answered correctly."""
         return self.held + self.refused == self.asked
 

@@ -79,7 +79,7 @@ def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
-def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     """Return a control law's data for one of the paper's figures.
 
     Forces and increments have each axis, then its limits.
@@ -104,7 +104,7 @@ def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def is_of_paper(view: Records, name: str) -> bool:
+def is_paper_scenario(view: Records, name: str) -> bool:
     """Return whether a recorded scenario equals the packaged one of the paper."""
     scenario = view.scenario(name) if name in OF_PAPER else None
     return scenario is not None and _document_content(scenario) == _packaged_content(name)
@@ -165,7 +165,7 @@ SMALLER = {
 
 def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
     """Judge a claim of the paper by the runs of its control laws."""
-    is_own = is_of_paper(records, scenario)
+    is_own = is_paper_scenario(records, scenario)
     pair = find_laws(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]

@@ -21,7 +21,7 @@ class DelayedConfiguration:
     loops: dict[float, RunRecord]
 
     @property
-    def survives(self) -> float:
+    def survived_slowdown(self) -> float:
         """Largest slow-down up to which every closed loop survives; NaN for none."""
         survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
@@ -56,6 +56,6 @@ def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfigura
 def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
     """Return a sort key: largest survived slow-down first, then the least cost."""
     last = list(configuration.loops.values())[-1]
-    values = -configuration.survives, cost_ratio(last)
+    values = -configuration.survived_slowdown, cost_ratio(last)
     survives, cost = (math.inf if math.isnan(value) else value for value in values)
     return survives, cost, last.name

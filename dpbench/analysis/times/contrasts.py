@@ -23,7 +23,7 @@ from dpbench.analysis.statistics import (
     Interval,
     paired_ratio,
     pooled_mean,
-    select_long,
+    select_long_sequences,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -103,7 +103,7 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     if not logs:
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    steps = sum(map(len, select_long(logs)))
+    steps = sum(map(len, select_long_sequences(logs)))
     return PairedComparison(*names, pooled_mean(logs), steps, leaders)
 
 
@@ -163,7 +163,7 @@ class RouteGain:
     median_ns: float
 
 
-def route_gains(records: Records, sequence: str) -> list[RouteGain]:
+def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
     """Compare the call modes of solvers also called natively, the fastest first.
 
     None where no native route has a neighbour.
@@ -195,7 +195,7 @@ def _gains_by_route(
                 yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
-def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
+def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
     """Return the settings levels at which each solver is right on every step."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
@@ -205,7 +205,7 @@ def right_levels(records: Records, requirements: Requirements) -> dict[str, list
     return levels
 
 
-def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
+def count_fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
     """Count how often each QP formulation has the least median step time.
 
     Of the configurations that are right on a sequence in two at least.
@@ -220,7 +220,7 @@ def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 
 
-def common_replays(
+def match_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
     """Yield timed replays of two solvers in the same call mode, with both step times."""

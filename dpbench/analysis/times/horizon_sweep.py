@@ -26,7 +26,7 @@ LEAST_SIZES = 3
 """Two points lie on a line whatever the law is."""
 
 
-def count_moves(horizons: Horizons) -> int:
+def count_variables(horizons: Horizons) -> int:
     """Return the number of variables of the condensed QP: forces times control horizon."""
     return len(FORCES) * horizons[1]
 
@@ -80,7 +80,7 @@ class SweptConfiguration:
     @property
     def growth(self) -> float | None:
         """Exponent p of the median step time over the number of QP variables n^p."""
-        sizes = [count_moves(horizons) for horizons in self.timed]
+        sizes = [count_variables(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     @property
@@ -140,7 +140,7 @@ class Sweep:
             for horizons, point in swept.timed.items()
             if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
         ]
-        return max(held, key=count_moves, default=None)
+        return max(held, key=count_variables, default=None)
 
     @property
     def best(self) -> list[SweptConfiguration]:

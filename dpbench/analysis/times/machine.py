@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
-from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, usual_factor
+from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, factor_quantile
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -27,7 +27,9 @@ def round_spread(records: Records) -> tuple[float, float]:
     Over the configurations; NaN without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
-    return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
+    return (
+        (float(np.median(slowest)), factor_quantile(slowest)) if slowest else (math.nan, math.nan)
+    )
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
@@ -72,7 +74,7 @@ def _run_key(run: RunRecord) -> tuple[object, ...]:
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
-def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
+def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
     """Sum the disturbances of replays: rounds, context switches, stolen time."""
     parts = [
         Disturbance(
@@ -95,7 +97,7 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
     Random problems, which are not timed alone, are not included.
     """
     replays = group_by(timed_runs(records), lambda run: run.sequence)
-    disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
+    disturbances = {sequence: total_disturbance(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
 
 

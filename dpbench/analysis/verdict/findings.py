@@ -69,7 +69,7 @@ class Finding:
     machine: float = math.nan
 
 
-def worst_first(
+def finding_on_worst(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
     """Return one finding on several runs, the worst by a figure first; or none."""

@@ -19,7 +19,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.scenario.scenario import Scenario, build_scenario
 
@@ -115,7 +115,7 @@ class RunMatrix:
             where = experiment.mode, experiment.units, experiment.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
                 judged.append(window)
-            verdict = verdict_of(records, configuration, judged, [], matrix.requirements)
+            verdict = judge_configuration(records, configuration, judged, [], matrix.requirements)
             matrix.states[at] = verdict
         return matrix
 

@@ -11,7 +11,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
 
@@ -61,18 +61,18 @@ class ThrusterVerdicts:
 
 def is_about_thrusters(records: Records) -> bool:
     """Return whether most scenarios run in closed loop command thrusters."""
-    loops = {run.scenario: run.steers_thrusters for run in records.select(mode="closed_loop")}
+    loops = {run.scenario: run.commands_thrusters for run in records.select(mode="closed_loop")}
     return 2 * sum(loops.values()) > len(loops)
 
 
-def compare_commanded(records: Records, requirements: Requirements) -> ThrusterVerdicts:
+def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
     """Judge the solvers with thrusters and with three forces commanded, to compare."""
-    of_thrusters = [run for run in records.runs if run.steers_thrusters]
-    of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
-    verdicts = verdicts_of(records, requirements, of_thrusters)
+    of_thrusters = [run for run in records.runs if run.commands_thrusters]
+    of_forces = [run for run in records.runs if run.scenario_files and not run.commands_thrusters]
+    verdicts = judge_solvers(records, requirements, of_thrusters)
     return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _best_states(verdicts_of(records, requirements, of_forces)),
+        _best_states(judge_solvers(records, requirements, of_forces)),
         _best_states(verdicts),
         {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
     )

@@ -13,7 +13,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
+from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, finding_on_worst
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
@@ -31,7 +31,7 @@ one: two clocks that are read in turn differ by some 25 µs a round."""
 
 
 @lru_cache(maxsize=2)
-def time_evidence(
+def late_timing_evidence(
     records: Records, requirements: Requirements
 ) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
     """Return a folder's late timings by run id, and the uncertainty of its step times."""
@@ -62,7 +62,7 @@ def find_slow_loops(
     return [
         finding
         for kind, of_kind in kinds.items()
-        for finding in worst_first(kind, of_kind, lambda run: run.raw_p50_ns)
+        for finding in finding_on_worst(kind, of_kind, lambda run: run.raw_p50_ns)
     ]
 
 
@@ -74,7 +74,7 @@ def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
     """
     long = (run for run in runs if not run.window_of)
     hidden = [run for run in long if _hidden_share(run) > HIDDEN]
-    return worst_first("hidden work", hidden, _hidden_share)
+    return finding_on_worst("hidden work", hidden, _hidden_share)
 
 
 def _hidden_share(run: RunRecord) -> float:

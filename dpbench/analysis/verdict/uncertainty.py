@@ -57,10 +57,10 @@ def estimate_uncertainty(records: Records) -> Uncertainty:
         factors.setdefault(run.configuration.in_common_formulation, []).append(quantiles)
     largest = {key: np.max(own, axis=0).tolist() for key, own in factors.items()}
     middle, slow, slowest = ({key: own[i] for key, own in largest.items()} for i in range(3))
-    usual = max(LEAST, usual_factor(middle.values())) if middle else UNKNOWN
+    usual = max(LEAST, factor_quantile(middle.values())) if middle else UNKNOWN
     return Uncertainty(middle, slow, slowest, usual)
 
 
-def usual_factor(factors: Iterable[float]) -> float:
+def factor_quantile(factors: Iterable[float]) -> float:
     """Return the 95 % quantile of the configurations' uncertainty factors."""
     return float(np.quantile(list(factors), QUANTILE))

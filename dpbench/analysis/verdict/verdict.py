@@ -28,7 +28,7 @@ from dpbench.analysis.verdict.findings import (
     OWN_DOING,
     Finding,
     State,
-    worst_first,
+    finding_on_worst,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import largest_known
@@ -114,7 +114,7 @@ class Verdicts:
         return [verdict for verdicts in self.of.values() for verdict in verdicts]
 
 
-def verdicts_of(
+def judge_solvers(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
     """Judge all configurations of all solvers by the requirements, in suite order.
@@ -130,7 +130,7 @@ def verdicts_of(
         ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
-            verdict_of(records, configuration, runs, asked, requirements)
+            judge_configuration(records, configuration, runs, asked, requirements)
             for configuration, runs in ordered
         ]
     return Verdicts(requirements, verdicts)
@@ -155,7 +155,7 @@ def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> t
     )
 
 
-def verdict_of(
+def judge_configuration(
     records: Records,
     configuration: Configuration,
     runs: Sequence[RunRecord],
@@ -170,7 +170,7 @@ def verdict_of(
     if not ran:
         return Verdict(configuration, "not run", refusal=outcome_cause(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    late_timings, uncertainty = time_findings.time_evidence(records, requirements)
+    late_timings, uncertainty = time_findings.late_timing_evidence(records, requirements)
     times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
     times += time_findings.find_slow_loops(ran, requirements, uncertainty)
     times += time_findings.report_late_timings(ran, late_timings)
@@ -249,8 +249,8 @@ def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     return [
         *no_answer,
-        *worst_first("inaccurate", wrong, lambda run: run.error_move_max),
-        *worst_first("failed", failing, lambda run: run.failed_steps),
+        *finding_on_worst("inaccurate", wrong, lambda run: run.error_move_max),
+        *finding_on_worst("failed", failing, lambda run: run.failed_steps),
     ]
 
 

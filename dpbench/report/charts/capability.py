@@ -28,7 +28,7 @@ _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
 
-def draw_rose(table: pd.DataFrame, title: str) -> Any:
+def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     """Draw the largest wind held by direction, a line per failure case.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.

@@ -203,7 +203,7 @@ def _verdict_expression() -> str:
     return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict"
 
 
-def draw_ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
+def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """Draw each solver's p50, p99, hardest step and largest timing to the deadline.
 
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
@@ -249,7 +249,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         style.tooltip("timing:N", "largest single timing [ms]"),
         style.tooltip("margin:Q", "speed margin ×", 3),
     ]
-    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
     return scaled.encode(y=y, tooltip=tips)
 
 

@@ -146,7 +146,7 @@ def draw_point_errors(small_cm: float) -> Any:
     replicate, chosen).
     """
     who = style.tooltip("name:N", "configuration")
-    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_names())
+    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_name_axis())
     means = style.inline_chart(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
     seas = style.inline_chart(name="seas").mark_point(filled=True)
     seas = seas.encode(

@@ -61,7 +61,7 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 """Height of a row, with its name beside or above the marks [px]."""
 
 
-def row_names(limit: int = 260, **options: Any) -> alt.Axis:
+def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
     """Return an axis with names beside the figure, or above each row where it is `narrow`.
 
     limit : of their length beside the figure [px].

@@ -10,21 +10,21 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.compare.answers import ORDER, Answer, Range, compare_answers
+from dpbench.analysis.compare.answers import ORDER, FigureChange, Range, compare_figures
 from dpbench.analysis.compare.pairs import Pairs, machine_differences, pair_cells
 from dpbench.analysis.compare.times import (
-    Compared,
-    Shared,
+    ComparedTimes,
+    SharedFactor,
     Timing,
     compare_times,
     compare_to_reference,
+    compute_time_ratios,
     find_unjudged_sequences,
     reference_rows,
     reference_solver,
-    time_pairs,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import disturbance_of, timed_runs
+from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
@@ -34,7 +34,7 @@ from dpbench.report.formats import (
     count_text,
     error_text,
     interval_text,
-    micro_text,
+    microseconds_text,
     plural,
     share_text,
     significant,
@@ -50,7 +50,7 @@ CHANGES = ("worse", "better", "same", "not comparable")
 STOPPED = "not comparable (stopped by a time limit)"
 
 
-def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
+def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
     """Tabulate the verdict on each solver over all its configurations."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
@@ -85,7 +85,7 @@ def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
 
 
 def times_table(
-    compared: Sequence[Compared],
+    compared: Sequence[ComparedTimes],
     margin: float,
     alpha: float,
     *,
@@ -113,14 +113,14 @@ def times_table(
     return Table.of(list(map(_time_row, rows)), "Step times, replays", note=note, text_columns=2)
 
 
-def _time_row(compared: Compared) -> dict[str, str]:
+def _time_row(compared: ComparedTimes) -> dict[str, str]:
     """Return the times, ratio and verdict of a configuration as a table row."""
     timing, assessment = compared.timing, compared.assessment
     return {
         "configuration": timing.pair.label,
         "sequence": timing.pair.a.problem,
-        "A p50 [µs]": micro_text(timing.median_ns[0]),
-        "B p50 [µs]": micro_text(timing.median_ns[1]),
+        "A p50 [µs]": microseconds_text(timing.median_ns[0]),
+        "B p50 [µs]": microseconds_text(timing.median_ns[1]),
         "B/A": f"{assessment.raw:.3f}",
         "machine": f"{assessment.machine:.3f}",
         "B/A less machine": f"{assessment.ratio.value:.3f}",
@@ -130,7 +130,7 @@ def _time_row(compared: Compared) -> dict[str, str]:
     }
 
 
-def shared_line(shared: Shared) -> str:
+def shared_line(shared: SharedFactor) -> str:
     """State the change that all configurations of a sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     wording = f"`{shared.sequence}`: step times of "
@@ -147,7 +147,7 @@ def shared_line(shared: Shared) -> str:
     return f"{wording}: {verdict}{cause}"
 
 
-def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
+def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
     """Tabulate the figures of accuracy and control that changed; None where none did."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
@@ -160,18 +160,18 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
         f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
         f"{left_out}"
     )
-    rows, title = list(map(_answer_row, changed)), "Accuracy and control: what changed"
+    rows, title = list(map(_change_row, changed)), "Accuracy and control: what changed"
     return Table.of(rows, title, note=note, text_columns=3)
 
 
-def answer_line(answer: Answer) -> str:
+def change_line(answer: FigureChange) -> str:
     """Describe a figure of accuracy or control in both runs, in one line."""
     column = answer.measure.column
     values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
-def _answer_row(answer: Answer) -> dict[str, str]:
+def _change_row(answer: FigureChange) -> dict[str, str]:
     """Return a figure of accuracy or control in both runs as a table row."""
     column = answer.measure.column
     return {
@@ -218,9 +218,9 @@ class Comparison:
     reference : solver that step times are divided by, "" for none.
     """
 
-    compared: list[Compared]
-    shared: list[Shared]
-    figures: list[Answer]
+    compared: list[ComparedTimes]
+    shared: list[SharedFactor]
+    figures: list[FigureChange]
     pairs: Pairs
     lines: list[str]
     tables: list[Table]
@@ -292,14 +292,14 @@ def compare(
     views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
     differ = machine_differences(results[0].machine, results[1].machine)
-    timings = time_pairs(*views, pairs.pairs)
+    timings = compute_time_ratios(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
-    figures = compare_answers(*views, pairs.pairs, margin)
+    figures = compare_figures(*views, pairs.pairs, margin)
     lines = [f"A: {a}{_machine_text(views[0])}", f"B: {b}{_machine_text(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
     lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
-    changed = answers_table(figures, margin)
+    changed = changes_table(figures, margin)
     tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
@@ -308,7 +308,7 @@ def compare(
 
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
-) -> tuple[list[Compared], list[Shared], list[str]]:
+) -> tuple[list[ComparedTimes], list[SharedFactor], list[str]]:
     """Judge the step times of two folders; return verdicts and remarks."""
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
@@ -330,12 +330,15 @@ def _compare_times(
 def _machine_text(view: Records) -> str:
     """Describe a folder's processor and how other load disturbed it."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    disturbance = disturbance_of(timed_runs(view))
+    disturbance = total_disturbance(timed_runs(view))
     return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def _summary_lines(
-    compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
+    compared: list[ComparedTimes],
+    shared: list[SharedFactor],
+    figures: list[FigureChange],
+    pairs: Pairs,
 ) -> list[str]:
     """Summarise a comparison in lines: cells, verdicts, changes, cells not compared."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]

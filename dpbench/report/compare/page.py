@@ -12,12 +12,12 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.compare.times import Compared, Timing
+from dpbench.analysis.compare.times import ComparedTimes, Timing
 from dpbench.files.writing import write_named_file
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison, answer_line, shared_line, times_table
+from dpbench.report.compare.comparison import Comparison, change_line, shared_line, times_table
 from dpbench.report.formats import interval_text, plural, strip_markdown
 from dpbench.report.page.data import columns_by_name
 from dpbench.report.page.pack import Block
@@ -54,19 +54,19 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     return path
 
 
-def _draw_charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any]:
     """Draw the charts of step times in both runs; none without times."""
     if not order:
         return {}
     table = ratio_table(order)
     return {
         "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
-        "both": draw_both(table),
+        "both": draw_both_runs(table),
         "steps": draw_step_pairs("A: step time", "B: step time"),
     }
 
 
-def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Table:
+def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:
     """Return the table of times as the page shows it, without two columns."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
@@ -75,7 +75,7 @@ def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Tabl
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
+def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
     """Pack the compared step times and charts for the page's script, as base64."""
     block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
@@ -106,10 +106,10 @@ def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
     first = int(timing.k[0])
     times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
     times[:, timing.k - first] = timing.a_ns, timing.b_ns
-    return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
+    return {"first": first, "a": block.add_log(times[0]), "b": block.add_log(times[1])}
 
 
-def _selection_addresses(order: Sequence[Compared]) -> list[str]:
+def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
     """Return the URL fragment that selects each comparison on the page."""
     seen: dict[str, int] = {}
     addresses = []
@@ -139,12 +139,12 @@ def lead_sentences(comparison: Comparison) -> list[str]:
     figures = f"No figure of accuracy or control of {count} is worse." if count else ""
     if worse:
         figures = (
-            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {change_line(worse[0])}."
         )
     return [strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
-def verdict_sentence(one: Compared) -> str:
+def verdict_sentence(one: ComparedTimes) -> str:
     """State the verdict on one configuration's step time ratio with its interval."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
@@ -194,7 +194,7 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     table : of `ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(
-        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_name_axis(330)),
         color=_COLOUR,
         tooltip=_TIPS,
     )
@@ -214,7 +214,7 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     )
 
 
-def draw_both(table: pd.DataFrame) -> Any:
+def draw_both_runs(table: pd.DataFrame) -> Any:
     """Draw the median step time in B against that in A, a mark per configuration."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
@@ -229,7 +229,7 @@ def draw_both(table: pd.DataFrame) -> Any:
     return style.set_style(chart, "Both runs", "Median step times of both runs against each other.")
 
 
-def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
+def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
     """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
@@ -237,7 +237,7 @@ def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
     )
 
 
-def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
+def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
     """Tabulate the step time ratio of each comparison, the largest first."""
     rows = [
         {

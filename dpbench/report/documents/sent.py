@@ -135,7 +135,7 @@ class Sender(BaseModel):
     remarks: str = ""
 
 
-def prepare_folder(folder: Path, target: Path) -> None:
+def prepare_sent_folder(folder: Path, target: Path) -> None:
     """Copy the files to send into a folder of their own, with a form for the sender.
 
     An existing `sender.toml` is kept.
@@ -160,7 +160,7 @@ def prepare_folder(folder: Path, target: Path) -> None:
         write_text(target / SENDER, _BLANK.format(when=when))
 
 
-def check_sent(folder: Path) -> str:
+def check_sent_folder(folder: Path) -> str:
     """Check a result folder that others sent; return its description.
 
     Raises ResultsError naming the first file at fault: missing, damaged, too large, of another

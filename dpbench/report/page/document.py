@@ -165,7 +165,7 @@ def _describe_experiment(
     if run is None:
         return wording
     if not experiment.study:
-        wording |= {"source": run.exported_by, "first": run.first_step}
+        wording |= {"source": run.export_argument, "first": run.first_step}
     scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:
         wording["reference"] = [float(x) for x in scenario.reference]

@@ -16,7 +16,7 @@ from dpbench.analysis.times.solver_tables import (
     time_table,
 )
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.overview import draw_accuracy, draw_ladder, draw_verdict_tiles
+from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
@@ -32,7 +32,11 @@ def _draw_ladder(data: PageData) -> Charts:
     timed = time_table(data)
     if timed.empty:
         return {}
-    return {"ladder": draw_ladder(timed, data.requirements.deadline_ms, data.requirements.p99_ms)}
+    return {
+        "ladder": draw_deadline_chart(
+            timed, data.requirements.deadline_ms, data.requirements.p99_ms
+        )
+    }
 
 
 def _draw_matrix(data: PageData) -> Charts:
@@ -105,7 +109,7 @@ def _replayed_configurations(data: PageData) -> set[int]:
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Pack the half-width of the log time ratio of each two configurations."""
     timed, widths = pair_half_widths(data)
-    return {"paired": {"c": timed, "reach": data.block.log(widths)}}
+    return {"paired": {"c": timed, "reach": data.block.add_log(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:

@@ -33,7 +33,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length
+from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length_limit
 from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]
@@ -54,11 +54,11 @@ class Block:
         self._entries: list[list[Any]] = []
         self._size = 0
 
-    def log(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_log(self, values: ArrayLike, places: int | None = None) -> int:
         """Add positive numbers of many decades as uint16 logarithms; return their index."""
         return self._add_array("log", log_codes(values), 1.0, places)
 
-    def linear(self, values: ArrayLike, scale: float) -> int:
+    def add_linear(self, values: ArrayLike, scale: float) -> int:
         """Add numbers as int16 multiples of `scale`; return the index of the array."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
@@ -67,17 +67,17 @@ class Block:
             "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
         )
 
-    def count(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_count(self, values: ArrayLike, places: int | None = None) -> int:
         """Add whole numbers up to 65534, NaN if missing; return the index of the array."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
         return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
-    def flag(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_flag(self, values: ArrayLike, places: int | None = None) -> int:
         """Add bytes of bit flags; return the index of the array."""
         return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def place(self, values: ArrayLike, length: int) -> int:
+    def add_place(self, values: ArrayLike, length: int) -> int:
         """Add rising indices below `length`; ValueError if two are over 65535 apart."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
@@ -153,8 +153,8 @@ class Room:
     def of(cls, lengths: Sequence[int]) -> Room:
         """Share the room of the page among runs of these lengths; short ones stay whole."""
         more = max(0, len(lengths) - MANY_RUNS)
-        points = common_length(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
-        steps = common_length(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
         return cls(steps, min(MOST_POINTS_EACH, points))
 
 
@@ -163,7 +163,7 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
-    at = None if run.is_whole else block.place(steps.k - first, count)
+    at = None if run.is_whole else block.add_place(steps.k - first, count)
 
     def spread(values: Floats, missing: float = np.nan) -> Floats:
         if at is not None:
@@ -176,14 +176,14 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     bits = np.sum([flag.astype(np.float64) * (1 << bit) for bit, flag in flags], axis=0)
     entry = {
         "first": first,
-        "t": block.log(spread(steps.time_ns), at),
-        "e": block.log(spread(steps.error), at),
-        "i": block.count(spread(steps.iterations), at),
-        "a": block.count(spread(steps.n_active), at),
-        "f": block.flag(spread(bits, 0.0), at),
+        "t": block.add_log(spread(steps.time_ns), at),
+        "e": block.add_log(spread(steps.error), at),
+        "i": block.add_count(spread(steps.iterations), at),
+        "a": block.add_count(spread(steps.n_active), at),
+        "f": block.add_flag(spread(bits, 0.0), at),
     }
     if steps.rounds > 1:
-        entry["r"] = block.log(spread(steps.raw_ns), at)
+        entry["r"] = block.add_log(spread(steps.raw_ns), at)
     return entry
 
 
@@ -197,6 +197,6 @@ def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str,
         force -= reference.force[:count]
     return {
         "every": track.every,
-        "x": [block.linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
-        "u": [block.linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
+        "x": [block.add_linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
+        "u": [block.add_linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
     }

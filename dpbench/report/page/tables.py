@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import records_of
+from dpbench.analysis.records.run_record import build_records
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.data import PageData, json_number
@@ -60,7 +60,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in records_of(runs)],
+        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in build_records(runs)],
         "outcome": runs["outcome"],
         "verdict": [
             "" if key is None or data.experiments[key[1]].study else data.state(*key)

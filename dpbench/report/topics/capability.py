@@ -24,11 +24,11 @@ from dpbench.report.charts.capability import (
     RIGHT_NOT,
     WRONG,
     draw_answer_shares,
+    draw_capability_rose,
     draw_loss_spans,
-    draw_rose,
     draw_sample_shares,
 )
-from dpbench.report.formats import and_list, counted_list, of_sample_text, plural, significant
+from dpbench.report.formats import and_list, counted_list, plural, sample_share_text, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
@@ -70,7 +70,7 @@ def _least_wind_text(edges: pd.DataFrame) -> str:
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
     """Name the solvers right on all QPs at the edge, and those with untrue claims."""
-    right = sorted(a.solver for a in plot.answers if a.all_right)
+    right = sorted(a.solver for a in plot.answers if a.is_all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
@@ -80,7 +80,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
         yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
-    silent = sum(1 for a in plot.answers if a.silent)
+    silent = sum(1 for a in plot.answers if a.unanswered)
     if silent:
         leave = "leaves" if silent == 1 else "leave"
         yield f"{silent} {leave} some without an answer, or did not get so far in time."
@@ -93,7 +93,7 @@ def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
         note = "; hollow where a solver made an untrue claim" if hollow else ""
         yield Figure(
             f"capability-{plot.vessel}",
-            draw_rose(plot.edges, f"{plot.vessel}: largest wind held"),
+            draw_capability_rose(plot.edges, f"{plot.vessel}: largest wind held"),
             "Each mark is an edge, with QPs before and beyond it that the referee judges"
             + note
             + ".",
@@ -110,7 +110,7 @@ def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
 
 def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
     """Yield the share and number of a solver's answers, by kind of answer."""
-    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.silent, WRONG: a.wrong}
+    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.unanswered, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
 
@@ -152,7 +152,7 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
     marks = [
-        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.is_all_right}
         for a in sorted(timed, key=lambda a: a.largest)
     ]
     if marks:
@@ -196,14 +196,14 @@ def _time_held_text(of_group: pd.DataFrame) -> str:
 def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     """Name the configurations right on all QPs, the fastest, and missed alarms."""
     answers = analysis.answers
-    right = [a for a in answers if a.all_right]
+    right = [a for a in answers if a.is_all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
-        share, batch = of_sample_text(best.largest), plural(len(analysis.groups), "QP")
+        share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
-    silent = sum(1 for a in answers if a.silent)
+    silent = sum(1 for a in answers if a.unanswered)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
@@ -214,7 +214,7 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
 def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
     """Yield the table row of each solver's best configuration."""
     for solver, best in analysis.best.items():
-        right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
+        right = [answers.is_all_right for answers in analysis.answers if answers.solver == solver]
         yield consequence_row(best, right)
 
 
@@ -222,12 +222,12 @@ def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]
     """Return a solver's row in the table of a consequence analysis."""
     return {
         "configuration": best.name,
-        "p99 share": of_sample_text(best.p99),
-        "largest share": of_sample_text(best.largest),
+        "p99 share": sample_share_text(best.p99),
+        "largest share": sample_share_text(best.largest),
         "held": f"{best.held} of {best.feasible}",
         "not held": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),
         "other untrue claims": str(best.untrue - best.missed),
-        "no answer": str(best.silent),
+        "no answer": str(best.unanswered),
         "configurations all right": f"{sum(right)} of {len(right)}",
     }

@@ -9,7 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, State, assess_claim, find_paper_runs, is_of_paper
+from dpbench.analysis.suites.paper import (
+    PAPER,
+    State,
+    assess_claim,
+    find_paper_runs,
+    is_paper_scenario,
+)
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
 from dpbench.report.formats import MISSING, rounded_down, rounded_up, strip_markdown
@@ -132,7 +138,7 @@ def judge_claims(records: Records) -> list[Claim]:
 def list_choices(records: Records) -> list[tuple[str, str]]:
     """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
     scenario = records.scenario(PAPER)
-    if scenario is None or not is_of_paper(records, PAPER):
+    if scenario is None or not is_paper_scenario(records, PAPER):
         return []
     chosen = {
         "vessel": scenario.vessel,

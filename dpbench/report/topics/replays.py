@@ -14,11 +14,11 @@ from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.contrasts import (
-    common_replays,
-    fastest_forms,
+    compare_routes,
+    count_fastest_forms,
+    find_right_levels,
+    match_replays,
     match_steps,
-    right_levels,
-    route_gains,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
 from dpbench.bench.judge.rules import median_known, percentile
@@ -43,7 +43,7 @@ def routes_topic(records: Records) -> Topic | None:
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for found in route_gains(records, sequence):
+        for found in compare_routes(records, sequence):
             change = f"{' '.join(found.above)} → {' '.join(found.route)}"
             gains.setdefault(change, []).append(found.gain.value)
             figures = _ratio_text(found.gain), time_text(found.median_ns)
@@ -108,7 +108,7 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
     """Name the solvers right on every step by default, and with other settings only."""
-    good = right_levels(records, requirements)
+    good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"
@@ -127,7 +127,7 @@ def race_topic(records: Records) -> Topic | None:
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
-    replays = list(common_replays(records, first, second))
+    replays = list(match_replays(records, first, second))
     if len({run.configuration.options for run, *_ in replays}) != 1:
         return None
     rows, wording = [], []
@@ -172,7 +172,7 @@ def _median_tables(
 
 def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
     """State how often each QP formulation is the fastest with right answers."""
-    wins = fastest_forms(records, requirements)
+    wins = count_fastest_forms(records, requirements)
     wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
         "Fastest form with right answers, of "

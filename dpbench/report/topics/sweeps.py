@@ -9,7 +9,12 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
-from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, count_moves, find_sweeps
+from dpbench.analysis.times.horizon_sweep import (
+    Sweep,
+    SweptConfiguration,
+    count_variables,
+    find_sweeps,
+)
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
 from dpbench.report.charts.lines import draw_lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
@@ -28,7 +33,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
             name = swept.configuration.label
             growth = swept.growth
             points += [
-                {"name": name, "x": count_moves(h), "y": p.median_ns / 1e3, "good": p.right}
+                {"name": name, "x": count_variables(h), "y": p.median_ns / 1e3, "good": p.right}
                 for h, p in swept.timed.items()
             ]
             rows.append(
@@ -71,7 +76,7 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
         if not largest:
             wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
-        longest = max(largest.values(), key=count_moves)
+        longest = max(largest.values(), key=count_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
         some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
@@ -141,14 +146,16 @@ def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
-        "survives ×": MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
+        "survives ×": MISSING
+        if math.isnan(delayed.survived_slowdown)
+        else f"{delayed.survived_slowdown:g}",
         "latest answer": time_text(latest_ns),
     }
 
 
 def _survivors_text(group: DelayedGroup) -> str:
     """State which configurations survive the largest slow-down."""
-    survivors = [c for c in group.configurations if c.survives > 0]
-    best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
+    survivors = [c for c in group.configurations if c.survived_slowdown > 0]
+    best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
     wording = ", ".join(best) if best else "nobody survives a slow-down"
     return f"Slower computers, {group.scenario}: {wording}."

@@ -23,7 +23,7 @@ from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
-    compare_commanded,
+    compare_thrusters_with_forces,
     is_about_thrusters,
     largest_ratio,
     late_losses,
@@ -33,9 +33,9 @@ from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import (
     MISSING,
     and_list,
-    of_sample_text,
     plural,
     rounded_up,
+    sample_share_text,
     significant,
 )
 from dpbench.report.page.section import Topic
@@ -122,7 +122,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
-    commanded = compare_commanded(records, requirements)
+    commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
     first = [_name_solver(chosen, requirements), _compare_with_forces(commanded)]
@@ -138,7 +138,7 @@ def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
     """State which solver to use for thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
-    share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
+    share = sample_share_text(chosen.algo_max_ns / requirements.deadline_ns)
     if chosen.state != "pass":
         label = chosen.configuration.label
         return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
@@ -203,13 +203,13 @@ def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str
         return
     yield f"{', '.join(map(_state_losses_at_end, analyses)).capitalize()}."
     own = answers_in_all(analyses)
-    right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
+    right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
     wording = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
-        share = of_sample_text(timed[best])
+        share = sample_share_text(timed[best])
         wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
     label = "" if chosen is None else _batch_name(chosen, own)
     if label and label not in right:

@@ -12,10 +12,10 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
     calibration_medians,
     delayed_runs,
-    disturbance_of,
     round_spread,
     shortest_wait_ns,
     timed_runs,
+    total_disturbance,
 )
 from dpbench.bench.judge.calibration import excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
@@ -88,7 +88,7 @@ def _unwatched_text(machine: Mapping[str, Any]) -> str:
 def trust_topic(records: Records) -> Topic | None:
     """Build the topic on measurement quality; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
-    disturbance = disturbance_of(timed)
+    disturbance = total_disturbance(timed)
     medians = calibration_medians(records.calibration)
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:

@@ -103,7 +103,7 @@ def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
     (plot,) = capability_plots(edge_runs(records), plot_table())
     assert plot.edges["untrue"].tolist() == [0, 1]
     assert plot.edges["wind_mps"].tolist() == [20.0, 12.0]
-    assert {a.solver: (a.right, a.wrong, a.silent) for a in plot.answers} == {
+    assert {a.solver: (a.right, a.wrong, a.unanswered) for a in plot.answers} == {
         "quadprog": (4, 0, 0),
         "osqp": (2, 1, 1),
     }

@@ -17,7 +17,7 @@ from dpbench.analysis.verdict.lateness import (
     estimate_stalls,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 
 REQUIREMENTS = Requirements()
 HONEST = ("quadprog", "piqp", "clarabel", "highs", "ecos")
@@ -36,7 +36,7 @@ def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
 
 
 def _verdict(records: Any, solver: str = "daqp") -> Any:
-    return verdicts_of(records.view(), REQUIREMENTS).of[solver][0]
+    return judge_solvers(records.view(), REQUIREMENTS).of[solver][0]
 
 
 def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int, int], float]:
@@ -77,7 +77,9 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
     }
     _campaign(records, **shifted)
     found = {
-        finding.kind for v in verdicts_of(records.view(), REQUIREMENTS).all for finding in v.doubts
+        finding.kind
+        for v in judge_solvers(records.view(), REQUIREMENTS).all
+        for finding in v.doubts
     }
     assert "late at random" not in found
 

@@ -8,14 +8,14 @@ import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 
 REQUIREMENTS = Requirements()
 
 
 def _matrix(records: Any, kept: int = 0) -> RunMatrix:
     view = records.view()
-    return RunMatrix.from_records(view, verdicts_of(view, REQUIREMENTS), view.study, kept)
+    return RunMatrix.from_records(view, judge_solvers(view, REQUIREMENTS), view.study, kept)
 
 
 def _labels(matrix: RunMatrix) -> list[str]:

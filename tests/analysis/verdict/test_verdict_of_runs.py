@@ -7,13 +7,13 @@ import pytest
 
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 
 REQUIREMENTS = Requirements()
 
 
 def _all(records: Any, solver: str = "daqp") -> list[Verdict]:
-    return list(verdicts_of(records.view(), REQUIREMENTS).of[solver])
+    return list(judge_solvers(records.view(), REQUIREMENTS).of[solver])
 
 
 def _only(records: Any) -> Verdict:
@@ -88,9 +88,9 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
     records.loop("unconstrained_clipped", formulation="none")
     records.loop("scs")
     view = records.view()
-    assert list(verdicts_of(view, REQUIREMENTS).of) == ["daqp", "scs"]
+    assert list(judge_solvers(view, REQUIREMENTS).of) == ["daqp", "scs"]
     assert not _only(records).causes
-    assert list(verdicts_of(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
+    assert list(judge_solvers(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
 
 
 @pytest.mark.parametrize(("first", "second", "error"), [(60, 120, 2), (120, 60, 1), (60, 60, 1)])

@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.analysis.times.solver_tables import experiment_table
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
 from dpbench.report.page.data import PageData, columns_by_name, json_number
@@ -24,7 +24,7 @@ REQUIREMENTS = Requirements()
 
 def _facts(records: Any) -> PageData:
     view = records.view()
-    return PageData.of(view, verdicts_of(view, REQUIREMENTS))
+    return PageData.of(view, judge_solvers(view, REQUIREMENTS))
 
 
 def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:

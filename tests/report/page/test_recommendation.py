@@ -10,7 +10,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
 from dpbench.report.formats import error_text, rounded_down, time_text
@@ -21,7 +21,7 @@ from dpbench.report.report import Report
 
 def _facts(records: Any) -> PageData:
     view, requirements = records.view(), Requirements()
-    return PageData.of(view, verdicts_of(view, requirements))
+    return PageData.of(view, judge_solvers(view, requirements))
 
 
 def _answer(records: Any, baseline: str | None = None) -> Recommendation:
@@ -36,7 +36,7 @@ def _plain(html: str) -> str:
 def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     """The recommendation, its p99 and its speed margin are the same everywhere."""
     requirements = Requirements.of(written.results.suite)
-    verdicts = verdicts_of(Records(written.results), requirements)
+    verdicts = judge_solvers(Records(written.results), requirements)
     chosen = choose_solver(verdicts).chosen
     assert chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
