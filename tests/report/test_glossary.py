@@ -12,7 +12,7 @@ import pytest
 from markupsafe import escape
 from rich.console import Console
 
-from dpbench.analysis.compare.answers import DONE, Answer
+from dpbench.analysis.compare.answers import DONE, FigureChange
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
@@ -41,7 +41,7 @@ from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
 from tests.report.conftest import of_seas
 
-CHANGED = Answer(
+CHANGED = FigureChange(
     SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
     DONE,
     (2.0, 2.0),

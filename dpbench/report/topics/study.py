@@ -164,7 +164,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
         "runs": f"{configuration.finished} of {configuration.runs}",
         "held": _share_with_bound(configuration.held, study),
         # Rounding alone is 0.
-        "cost over exact": f"{significant(100.0 * cost, 2) if abs(cost) >= NOTHING else 0} %",
+        "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
         "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
     }
