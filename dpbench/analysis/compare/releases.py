@@ -137,7 +137,7 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
     units = {name: _reference_times(records, solver) for name, records in folders.items()}
     by_cell = [_build_history(runs, units) for runs in common.values()]
     by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _folder_ratios(history, units)]
+    ratios = [ratio for history in by_cell for ratio in _ratios_between_folders(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
@@ -211,7 +211,7 @@ def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None
     return float(getattr(run, column)) / divisor
 
 
-def _folder_ratios(
+def _ratios_between_folders(
     history: History, units: Mapping[str, Mapping[str, float] | None]
 ) -> Iterator[float]:
     """Yield, for each version, its largest p50 among the folders over the smallest."""

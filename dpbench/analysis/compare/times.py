@@ -123,10 +123,10 @@ def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[T
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(first_by(filter(None, timings), _evidence_key).values())
+    return list(first_by(filter(None, timings), _measurement_key).values())
 
 
-def _evidence_key(timing: Timing) -> tuple[object, ...]:
+def _measurement_key(timing: Timing) -> tuple[object, ...]:
     """Return a key that equals for two timings of one run under two settings names."""
     unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own

@@ -101,12 +101,18 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Capab
             source = runs[0].source
             assert isinstance(source, CapabilitySource), "runs at the boundary"
             vessel, sides = source.vessel_name, source.sides
-        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edge_rows(records, own, runs)
+        edges = (
+            pd.DataFrame(columns=list(EDGES))
+            if own is None
+            else _wind_by_direction(records, own, runs)
+        )
         plots.append(CapabilityResult(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
+def _wind_by_direction(
+    records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
+) -> pd.DataFrame:
     """Tabulate the largest wind held [m/s] by failure case and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:

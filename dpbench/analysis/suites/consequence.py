@@ -99,14 +99,17 @@ def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> C
     sample_s = math.nan if files is None else cached_scenario(files).sample_s
     by_configuration = group_by(runs, lambda run: run.name)
     answers = [
-        _batch_answers(records, own, len(groups), sample_s) for own in by_configuration.values()
+        _count_batch_answers(records, own, len(groups), sample_s)
+        for own in by_configuration.values()
     ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
-    spans = pd.concat([_state_spans(records, run, sample_s) for run in longest if run.has_steps])
+    spans = pd.concat(
+        [_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
+    )
     return ConsequenceAnalysis(name, tuple(groups), spans, tuple(answers))
 
 
-def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Return the time spans in which the loss of one group can or cannot be held."""
     rows = records.counting_steps(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
@@ -119,7 +122,7 @@ def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFr
     return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _batch_answers(
+def _count_batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """Count one configuration's answers over all failure groups, with batch times."""

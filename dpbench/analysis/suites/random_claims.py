@@ -82,13 +82,13 @@ def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     kept: list[RunRecord] = []
     for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by(own, lambda run: run.settings)
-        for alike in group_by(by_level.items(), lambda level: _run_key(level[1])).values():
+        for alike in group_by(by_level.items(), lambda level: _measurement_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _run_key(runs: Sequence[RunRecord]) -> str:
+def _measurement_key(runs: Sequence[RunRecord]) -> str:
     """Return a key of a configuration's runs, equal only for the same measurements."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 

@@ -154,7 +154,7 @@ def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
     """Find the scenarios replayed under two or more pairs of horizons."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
-    problems = group_by(replays, _problem_key)
+    problems = group_by(replays, _swept_problem_key)
     candidates = [
         _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
     ]
@@ -166,7 +166,7 @@ def _moves_key(horizons: Horizons) -> tuple[int, int]:
     return horizons[1], horizons[0]
 
 
-def _problem_key(run: RunRecord) -> str:
+def _swept_problem_key(run: RunRecord) -> str:
     """Return a key of replays that differ in their horizons only; "" if no scenario."""
     files = run.scenario_files
     if files is None or run.horizons is None:

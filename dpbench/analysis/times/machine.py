@@ -40,7 +40,7 @@ def timed_runs(records: Records) -> list[RunRecord]:
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return _separate_own_switches(list(first_by(timed, _run_key).values()))
+    return _separate_own_switches(list(first_by(timed, _measurement_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
@@ -68,7 +68,7 @@ def _switches_per_step(run: RunRecord) -> float:
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
-def _run_key(run: RunRecord) -> tuple[object, ...]:
+def _measurement_key(run: RunRecord) -> tuple[object, ...]:
     """Return a key of a replay that equals for one run under several settings names."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)

@@ -251,13 +251,13 @@ def level_points(
         point
         for configuration, runs in configurations.items()
         if len({run.sequence for run in runs}) == len(sequences)
-        and (point := _level_point(records, configuration, runs)) is not None
+        and (point := _build_level_point(records, configuration, runs)) is not None
     ]
     points.sort(key=lambda point: settings_level(point.configuration.settings))
     return group_by(points, lambda point: point.configuration.solver)
 
 
-def _level_point(
+def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
     """Return a configuration's worst times and error over sequences; None if untimed."""

@@ -47,7 +47,7 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
     ranks = [verdict for verdict in verdicts.all if verdict.is_rankable]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_level_key))
+    return fastest_first(sorted(wide, key=_settings_key))
 
 
 def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
@@ -78,10 +78,10 @@ def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
             or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
         )
     ]
-    return min(alike, key=_level_key)
+    return min(alike, key=_settings_key)
 
 
-def _level_key(verdict: Verdict) -> tuple[int, str]:
+def _settings_key(verdict: Verdict) -> tuple[int, str]:
     """Return a sort key of a configuration's settings, the most usual first."""
     return settings_level(verdict.configuration.settings)
 

@@ -279,7 +279,7 @@ def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, all
 def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test a run of one round for late timings that the machine does not explain."""
     late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
-    explained = _explained_count(run, own, late, limit_ns)
+    explained = _count_explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -289,7 +289,7 @@ def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimi
     return LateTimings("late timings", run, late, samples, explained / samples, p)
 
 
-def _explained_count(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
     """Return how many late timings of a run the machine explains; NaN if unknown."""
     if own.has_waits:
         return late - int(own.count_late(limit_ns).sum())

@@ -75,7 +75,9 @@ def speed_margins(
             p99 = {run: p99_ns(run, algo[run]) for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
-    steps = _bounding_steps(records, {run.run_id: run for both in bounds.values() for run in both})
+    steps = _find_bounding_steps(
+        records, {run.run_id: run for both in bounds.values() for run in both}
+    )
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
@@ -84,7 +86,7 @@ def speed_margins(
     return margins
 
 
-def _bounding_steps(
+def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
     """Find each run's step of the largest time, and the one at its p99."""

@@ -72,8 +72,8 @@ def compare_thrusters_with_forces(records: Records, requirements: Requirements) 
     verdicts = judge_solvers(records, requirements, of_thrusters)
     return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _best_states(judge_solvers(records, requirements, of_forces)),
-        _best_states(verdicts),
+        _best_state_by_solver(judge_solvers(records, requirements, of_forces)),
+        _best_state_by_solver(verdicts),
         {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
     )
 
@@ -119,7 +119,7 @@ def late_losses(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _best_states(verdicts: Verdicts) -> dict[str, State]:
+def _best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
     """Return the best verdict of each solver that was run."""
     states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}

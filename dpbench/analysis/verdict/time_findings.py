@@ -73,11 +73,11 @@ def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
     few steps that are solved before each round without a record would count.
     """
     long = (run for run in runs if not run.window_of)
-    hidden = [run for run in long if _hidden_share(run) > HIDDEN]
-    return finding_on_worst("hidden work", hidden, _hidden_share)
+    hidden = [run for run in long if _other_threads_share(run) > HIDDEN]
+    return finding_on_worst("hidden work", hidden, _other_threads_share)
 
 
-def _hidden_share(run: RunRecord) -> float:
+def _other_threads_share(run: RunRecord) -> float:
     """Return the processor time of a run's other threads over that of its timed calls."""
     return run.thread_s / max(run.solve_s, SHORTEST_S)
 

@@ -62,7 +62,7 @@ def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the north, east, heading and radial error over time (Figure 5)."""
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
-        table = _long_table(
+        table = _law_time_series(
             laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
         )
         log = name == "radial"
@@ -104,7 +104,7 @@ def _draw_force(
     laws: Sequence[Law], column: str, scale: float, title: str, limits: Sequence[float]
 ) -> Any:
     """Draw the force in one axis over time, with its limits or a note on them."""
-    table = _long_table(laws, lambda law: law.steps[column].to_numpy() / scale)
+    table = _law_time_series(laws, lambda law: law.steps[column].to_numpy() / scale)
     reach = float(np.abs(table["value"]).max())
     near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
     # Limits far off are said, as a figure without them looks as if there were none.
@@ -116,7 +116,7 @@ def _draw_force(
     return alt.layer(lines, _draw_limits(near) if near else words)
 
 
-def _long_table(laws: Sequence[Law], value: Any) -> pd.DataFrame:
+def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
     """Tabulate a quantity over time for each control law, thinned for drawing."""
     tables = []
     for law in laws:

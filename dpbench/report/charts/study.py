@@ -74,9 +74,9 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
     dots = dots.encode(
         x="error_excess_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
-    bars, means = _draw_means(alt.Chart(table))
+    bars, means = _draw_mean_errors(alt.Chart(table))
     parts = (
-        _draw_band(small_cm, alt.X("low:Q", title=across)),
+        _draw_small_error_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
@@ -92,7 +92,7 @@ _MEAN_TIPS = (
 )
 
 
-def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
+def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     """Draw the mean excess errors and their intervals."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
@@ -101,7 +101,7 @@ def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     return bars, means
 
 
-def _draw_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
+def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
     """Draw a band over the differences that are too small to matter."""
     ends = style.inline_chart({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
@@ -164,7 +164,7 @@ def draw_point_errors(small_cm: float) -> Any:
     marked = style.draw_whole_rows(
         means, style.value_if(_CHOSEN, 0.2, 0.0), color=style.ACCENT
     ).add_params(style.narrow_flag())
-    parts = (_draw_band(small_cm, opacity=0.6), marked, *_draw_means(means), seas)
+    parts = (_draw_small_error_band(small_cm, opacity=0.6), marked, *_draw_mean_errors(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
     return style.set_style(chart, "Behind the reference", about)

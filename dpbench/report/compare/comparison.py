@@ -296,7 +296,7 @@ def compare(
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
     figures = compare_figures(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_machine_text(views[0])}", f"B: {b}{_machine_text(views[1])}"]
+    lines = [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
     lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
     changed = changes_table(figures, margin)
@@ -327,7 +327,7 @@ def _compare_times(
     return compare_to_reference(timings, margin, alpha, rows), [], wording
 
 
-def _machine_text(view: Records) -> str:
+def _describe_machine(view: Records) -> str:
     """Describe a folder's processor and how other load disturbed it."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = total_disturbance(timed_runs(view))

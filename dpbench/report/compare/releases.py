@@ -267,7 +267,7 @@ def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     known = base.transform_filter("isValid(datum.p99)")
     bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
-    layers = (line, bar, _draw_points(base, x))
+    layers = (line, bar, base.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
 
 
@@ -281,7 +281,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
     drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
     rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
-    layers = (rule, _draw_points(drawn, x))
+    layers = (rule, drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
@@ -298,11 +298,6 @@ def _version_rows_chart(table: pd.DataFrame) -> Any:
         shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
         tooltip=["label:N", *(style.tooltip(f"{name}:Q") for name in FIGURES)],
     )
-
-
-def _draw_points(base: Any, x: alt.X) -> Any:
-    """Draw one mark per solver version."""
-    return base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
 
 
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:

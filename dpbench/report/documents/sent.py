@@ -67,13 +67,13 @@ def check_passive(page: str, where: str) -> None:
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
-    for at, found in _active_parts(page):
+    for at, found in _find_active_parts(page):
         line = page.count("\n", 0, at) + 1
         allowed = "a page without scripts: `dpbench report DIR --send FOLDER`"
         raise ResultsError(where, f"line {line}", found[:120], allowed)
 
 
-def _active_parts(page: str) -> Iterator[tuple[int, str]]:
+def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
     """Yield position and text of what a browser would run or load in a page."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"

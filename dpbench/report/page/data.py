@@ -59,7 +59,7 @@ def study_document(
         ],
         "names": names,
         "c": [number_of[name] for name in names],
-        "means": [_mean_excess(study, name) for name in names],
+        "means": [_mean_excess_error(study, name) for name in names],
         "runs": {
             "of": [place[name] for name in rows["configuration"]],
             "point": rows["point"].tolist(),
@@ -79,7 +79,7 @@ def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunReco
     return None if worst is None else kept[worst]
 
 
-def _mean_excess(study: Study, name: str) -> dict[str, Any]:
+def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
     """Return a configuration's mean excess error with interval [cm], and share held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}

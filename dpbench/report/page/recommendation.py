@@ -50,7 +50,7 @@ MOST_INCONCLUSIVE = 2
 
 @dataclass(frozen=True)
 class Badge:
-    """Badge on the page: verdict on the first configuration in one experiment or more."""
+    """Badge on the page: the verdict on the recommended solver in an experiment."""
 
     state_text: str
     mark: str

@@ -42,14 +42,16 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
         id="capability",
         title="Capability",
         lines=tuple(
-            " ".join([*_state_winds(plot), *(_name_right_solvers(plot) if plot.answers else ())])
+            " ".join(
+                [*_least_wind_sentences(plot), *(_name_right_solvers(plot) if plot.answers else ())]
+            )
             for plot in plots
         ),
         figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
     )
 
 
-def _state_winds(plot: CapabilityResult) -> Iterator[str]:
+def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
     """State the least wind held over all directions, intact and after a failure."""
     if plot.edges.empty:
         return
@@ -131,7 +133,7 @@ def consequence_topic(records: Records) -> Topic | None:
         title="Consequence analysis",
         lines=(
             *(
-                f"{_state_losses(analysis)} {_name_right_configurations(analysis)}"
+                f"{_losses_held_sentence(analysis)} {_name_right_configurations(analysis)}"
                 for analysis in analyses
             ),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
@@ -146,7 +148,7 @@ def consequence_topic(records: Records) -> Topic | None:
 def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     """Yield the figures of a consequence analysis: losses held, and solve times."""
     yield Figure(
-        f"consequence-{_file_name(analysis)}",
+        f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
         "Proven for the mean force of each sample: an optimum, or that there is none.",
     )
@@ -157,18 +159,18 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     ]
     if marks:
         yield Figure(
-            f"consequence-time-{_file_name(analysis)}",
+            f"consequence-time-{_analysis_file_name(analysis)}",
             draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
             "The best configuration of each solver; the QPs of all groups at one sample.",
         )
 
 
-def _file_name(analysis: ConsequenceAnalysis) -> str:
+def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
     """Return the name of a consequence analysis as part of a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _state_losses(analysis: ConsequenceAnalysis) -> str:
+def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
     """State which losses of thrusters can be held, and when."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):

@@ -203,7 +203,7 @@ def worst_case_topic(records: Records) -> Topic | None:
         return None
     searched = str(requested.get("configuration") or "")
     rows.sort(key=lambda row: (row[0] != searched, row[0]))
-    lead = [_state_step(row, k) for row in rows[:1]]
+    lead = [_step_sentence(row, k) for row in rows[:1]]
     head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
     return Topic(
         "worst-case",
@@ -231,7 +231,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
     )
 
 
-def _state_step(row: tuple[str, ...], k: int) -> str:
+def _step_sentence(row: tuple[str, ...], k: int) -> str:
     """State a configuration's time, iterations and error at one step."""
     name, took, median, iterations, usual, error, answer = row
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
@@ -263,7 +263,8 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
         lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
     rows = [
-        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"} | _control_cells(runs)
+        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"}
+        | _control_columns(runs)
         for name, runs in by_name.items()
     ]
     rows.sort(key=lambda row: -whole[row["configuration"]])
@@ -271,7 +272,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
 
 
-def _control_cells(runs: Sequence[RunRecord]) -> dict[str, str]:
+def _control_columns(runs: Sequence[RunRecord]) -> dict[str, str]:
     """Count a configuration's fallbacks; find its largest distance from the exact loop."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]

@@ -53,7 +53,7 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _load_sentence(best, configurations, requirements)
+    lead = _thruster_load_sentence(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
@@ -72,7 +72,7 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
-def _load_sentence(
+def _thruster_load_sentence(
     best: dict[str, RunRecord],
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
@@ -125,16 +125,16 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
-    first = [_name_solver(chosen, requirements), _compare_with_forces(commanded)]
+    first = [_solver_to_use_sentence(chosen, requirements), _compare_with_forces(commanded)]
     second = [
-        *_state_offset_after_loss(records, chosen, requirements),
-        *_state_consequence(records, chosen),
+        *_offset_after_loss_sentences(records, chosen, requirements),
+        *_consequence_sentences(records, chosen),
     ]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
+def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) -> str:
     """State which solver to use for thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
@@ -152,24 +152,19 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     before = commanded.passing_with_forces
     if not before:
         fine, run = len(commanded.passing), len(commanded.with_thrusters)
-        wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
+        wording = [f"{fine} of {plural(run, 'solver')} {'passes' if fine == 1 else 'pass'}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
         missing, unknown = commanded.failing, commanded.undecided
         wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
     lost, where = commanded.passing_with_forces_only, and_list(list(commanded.forces))
-    head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
-    head += f"three forces ({where})"
+    verb = "passes" if len(before) == 1 else "pass"
+    head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
     if not lost:
         return f"{head}, none fails with thrusters."
     fail = "fails" if len(lost) == 1 else "fail"
     return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
-
-
-def _pass_verb(count: int) -> str:
-    """Return "pass" or "passes", as the number of solvers needs it."""
-    return "passes" if count == 1 else "pass"
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
@@ -178,7 +173,7 @@ def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
-def _state_offset_after_loss(
+def _offset_after_loss_sentences(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
     """State how far off the ship is after thrusters are lost."""
@@ -196,12 +191,12 @@ def _state_offset_after_loss(
             )
 
 
-def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
+def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
     """State which further losses could be held, and which solvers report so."""
     analyses = consequence_analyses(records)
     if not analyses:
         return
-    yield f"{', '.join(map(_state_losses_at_end, analyses)).capitalize()}."
+    yield f"{', '.join(map(_losses_at_end_text, analyses)).capitalize()}."
     own = answers_in_all(analyses)
     right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
@@ -233,7 +228,7 @@ def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
     return next((name for name in known if name in names), "")
 
 
-def _state_losses_at_end(analysis: ConsequenceAnalysis) -> str:
+def _losses_at_end_text(analysis: ConsequenceAnalysis) -> str:
     """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())

@@ -33,7 +33,7 @@ COVERED = (
 )
 
 
-def _spread_lines(records: Records) -> list[str]:
+def _round_spread_sentences(records: Records) -> list[str]:
     """State by which ratio two times must differ, within a run and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
@@ -63,8 +63,8 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     )
 
 
-def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """State how quiet the machine was while replays were timed."""
+def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
+    """State how far other load disturbed the machine while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -93,7 +93,7 @@ def trust_topic(records: Records) -> Topic | None:
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _spread_lines(records)
+    lines = _round_spread_sentences(records)
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
@@ -102,7 +102,7 @@ def trust_topic(records: Records) -> Topic | None:
         chart = draw_dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
-        lines.append(_quiet_text(disturbance, records.machine))
+        lines.append(_machine_load_text(disturbance, records.machine))
     data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
