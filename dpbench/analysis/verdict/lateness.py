@@ -126,7 +126,7 @@ def find_late_timings(
 ) -> dict[str, list[LateTimings]]:
     """Test every replay and closed loop for late timings; return those found by run id."""
     scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
-    runs = [run for run in scaled if not (run.is_baseline_law or run.slowdown > 0.0)]
+    runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
