@@ -25,7 +25,7 @@ from scipy.signal import lfilter
 from scipy.special import log_ndtr, ndtri
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.compare.times import compare_times, time_pairs
+from dpbench.analysis.compare.times import compare_times, compute_time_ratios
 from dpbench.analysis.statistics import (
     Interval,
     paired_ratio,
@@ -213,14 +213,14 @@ STEPS: dict[str, dict[str, Draw]] = {
 }
 
 
-# Comparisons: two runs of the same configurations, through `time_pairs` and `compare_times`.
+# Comparisons of two runs, through `compute_time_ratios` and `compare_times`.
 
 CONFIGURATIONS, ROUNDS, STEPS_OF_TABLE = 12, 6, 100
 SEQUENCE = "paper"
 
 
 class SimulatedRecords:
-    """The step times of one run, in the form in which `time_pairs` reads them."""
+    """The step times of one run, in the form in which `compute_time_ratios` reads them."""
 
     has_steps = True
 
@@ -268,7 +268,7 @@ def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool,
     one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)
     other = SimulatedRecords(rng, truth, disturbed=disturbed)
     pairs = [Pair(*both) for both in zip(one.runs, other.runs, strict=True)]
-    timings = time_pairs(cast(Any, one), cast(Any, other), pairs)
+    timings = compute_time_ratios(cast(Any, one), cast(Any, other), pairs)
     why = {SEQUENCE: "both runs were disturbed" if disturbed else ""}
     found, _ = compare_times(timings, 0.05, 0.05, why)
     assessments = [compared.assessment for compared in found]

@@ -71,7 +71,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     from dpbench import load_results, run_campaign
     from dpbench.analysis.verdict.fastest import best_verdict_by_solver
     from dpbench.report.report import Report
-    from dpbench.report.verdict_text import clauses
+    from dpbench.report.verdict_text import describe_findings
     from dpbench.solvers.table import load_solver_module
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)
@@ -86,7 +86,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
     verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).data.verdicts
     best = {v.configuration.solver: v for v in best_verdict_by_solver(verdicts)}
-    return {name: (v.state, clauses(v.causes or v.missing)) for name, v in best.items()}
+    return {name: (v.state, describe_findings(v.causes or v.missing)) for name, v in best.items()}
 
 
 def _list(names: Sequence[str]) -> str:

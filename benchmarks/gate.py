@@ -24,7 +24,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.analysis.compare.evidence import Assessment, Prior, assess, remove_machine_factor
+from dpbench.analysis.compare.evidence import (
+    Assessment,
+    Prior,
+    assess_ratios,
+    remove_machine_factor,
+)
 from dpbench.bench.record.machine import describe_machine
 from dpbench.errors import InputError
 
@@ -76,7 +81,9 @@ def time_changes(
     names = [name for name in now if name in was]
     logs = np.log([now[name]["relative"] / was[name]["relative"] for name in names])
     own = np.array([_error(was[name]) + _error(now[name]) for name in names])
-    found = assess(remove_machine_factor(logs, own, ["run"] * len(names), NOISE), MARGIN, ALPHA)
+    found = assess_ratios(
+        remove_machine_factor(logs, own, ["run"] * len(names), NOISE), MARGIN, ALPHA
+    )
     return dict(zip(names, found, strict=True))
 
 

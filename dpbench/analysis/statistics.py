@@ -36,7 +36,7 @@ TAILS = (0.025, 0.975)
 
 @dataclass(frozen=True)
 class Interval:
-    """Estimate with its 95 % interval; from -inf, or 0, to inf where it has none."""
+    """Estimate with its 95 % confidence interval, infinitely wide where none is supported."""
 
     value: float
     low: float
@@ -52,13 +52,11 @@ UNKNOWN = Interval(np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class MeanEstimate:
-    """Estimated mean.
+    """Mean of a sample with its standard error, degrees of freedom and skewness.
 
     Intervals and p-values are Student's, widened on the long side of a skewed estimate by Hall's
     transformation (1992, J. R. Stat. Soc. B 54, 221-228), and never narrowed by it.
 
-    Parameters
-    ----------
     value, error : the mean and its standard error, 0 without spread and NaN if unknown; df : its
         degrees of freedom; skew : skewness of the estimate.
     """
@@ -70,12 +68,12 @@ class MeanEstimate:
 
     @property
     def is_supported(self) -> bool:
-        """True if the values support an interval: some spread, a degree of freedom."""
+        """True if the mean has a positive standard error and a degree of freedom."""
         return self.error > 0.0 and self.df >= 1.0
 
     @property
     def interval(self) -> Interval:
-        """The mean with its 95 % interval."""
+        """The mean with its 95 % confidence interval: Student's t, corrected for skewness."""
         if not self.is_supported:
             return Interval(self.value, -math.inf, math.inf)
         quantile = float(stdtrit(self.df, TAILS[1]))
@@ -103,12 +101,12 @@ class MeanEstimate:
         return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
 
     def _transform_skew(self, statistic: float) -> float:
-        """Apply Hall's transformation to a Studentised mean."""
+        """Apply Hall's skewness correction to a t statistic."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
     def _invert_skew(self, quantile: float) -> float:
-        """Invert Hall's transformation."""
+        """Invert Hall's skewness correction at a quantile of Student's t."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:
             return quantile
@@ -116,12 +114,12 @@ class MeanEstimate:
 
 
 def is_rounding(spread: float, size: float) -> bool:
-    """Return whether a spread is rounding of values of a size."""
+    """Return whether a spread is only rounding error of values of magnitude `size`."""
     return spread <= 1e-12 * size
 
 
 def adjust_holm(p: Floats) -> Floats:
-    """Adjust p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
+    """Adjust p-values for multiple tests by Holm's step-down Bonferroni method (1979)."""
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
     adjusted = np.empty(len(p))
@@ -130,7 +128,7 @@ def adjust_holm(p: Floats) -> Floats:
 
 
 def upper_bound_of_none(count: float) -> float:
-    """Return the 95 % upper bound of a share of which `count` draws show none.
+    """Return the 95 % upper bound of a probability after `count` trials without an event.
 
     The rule of three (Hanley & Lippman-Hand 1983).
     """
@@ -138,12 +136,12 @@ def upper_bound_of_none(count: float) -> float:
 
 
 def has_interval_support(steps: int) -> bool:
-    """Return whether so many consecutive steps support an interval."""
+    """Return whether a number of consecutive steps suffices for a confidence interval."""
     return steps >= LEAST_STEPS
 
 
 def estimate_mean(values: Floats) -> MeanEstimate:
-    """Estimate the mean over consecutive steps (K,), its error from the means of `PARTS` parts.
+    """Estimate the mean of a series (K,), its error from the means of consecutive parts.
 
     Parts that follow each other resemble each other: the error is widened by their correlation as
     for a first-order autoregression, after adding what so few parts underestimate.
@@ -162,7 +160,7 @@ def estimate_mean(values: Floats) -> MeanEstimate:
 
 
 def percentile_interval(values: Floats, percent: float) -> Interval:
-    """Estimate a percentile over steps, unknown where the steps do not support it.
+    """Estimate a percentile of step times with its 95 % interval; NaN for too few steps.
 
     The share of steps beyond the percentile has an error from `PARTS` parts; as many independent
     steps as have that error give the interval of the share (Clopper & Pearson 1934), and its ends
@@ -190,27 +188,25 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     )
 
 
-def select_long(logs: Sequence[Floats]) -> list[Floats]:
-    """Return the sequences of steps that support an interval; all of them where none does."""
+def select_long_sequences(logs: Sequence[Floats]) -> list[Floats]:
+    """Return the step sequences long enough for an interval; all of them where none is."""
     return [one for one in logs if has_interval_support(len(one))] or list(logs)
 
 
 def paired_ratio(slower: Floats, faster: Floats) -> Interval:
-    """Return the geometric mean over the same steps (K,) of slower/faster, with its interval."""
+    """Return the geometric mean ratio of two step time arrays (K,) with its 95 % interval."""
     return pooled_mean([np.log(slower / faster)])
 
 
 def pooled_mean(logs: Sequence[Floats]) -> Interval:
-    """Return exp of the mean over sequences of the mean log ratio, with its interval.
+    """Return the geometric mean ratio over sequences of log ratios, with its 95 % interval.
 
-    Parameters
-    ----------
-    logs : the log ratios of the steps of each sequence, of which `select_long` are taken; an empty
-        one makes the mean unknown.
+    logs : by sequence, the log ratios of its steps; only long sequences count where there are any,
+        and an empty one makes the mean unknown.
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = [estimate_mean(one) for one in select_long(logs)]
+    means = [estimate_mean(one) for one in select_long_sequences(logs)]
     errors = np.array([one.error for one in means])
     fourth = float((errors**4 / np.array([max(1.0, one.df) for one in means])).sum())
     pooled = MeanEstimate(
@@ -222,7 +218,7 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
 
 
 def resampled_error(values: Floats, block: int) -> float:
-    """Return the standard deviation of a mean over circular blocks of consecutive steps.
+    """Return the standard error of a mean by bootstrap over blocks of consecutive steps.
 
     Blocks are drawn independently (Politis & Romano 1992), so the variances of their sums add up.
     """

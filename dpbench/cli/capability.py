@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, answers_of
+from dpbench.analysis.suites.capability import Answers, count_answers
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, WindLimit
 from dpbench.bench.capability.study import (
@@ -76,7 +76,7 @@ def _judge_solvers(
     with Bar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
-    return answers_of(records, [run for run in records.runs if run.default_route])
+    return count_answers(records, [run for run in records.runs if run.default_route])
 
 
 def _figure_file(name: str | None) -> Path | None:
@@ -90,8 +90,8 @@ def _figure_file(name: str | None) -> Path | None:
 
 def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
     from dpbench.report.charts.capability import COLUMNS as DRAWN
-    from dpbench.report.charts.capability import draw_rose
-    from dpbench.report.charts.render import save
+    from dpbench.report.charts.capability import draw_capability_rose
+    from dpbench.report.charts.render import save_figure
 
     rows = [
         (case, from_deg, at.wind_mps, at.number)
@@ -99,7 +99,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
     title = f"{vessel.title}: largest wind held"
-    save(draw_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+    save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:

@@ -59,10 +59,10 @@ def _unknown(name: str) -> InputError:
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:
     """Check a folder of results that was sent, or of problems by qpsolvers."""
-    from dpbench.report.documents.sent import SENDER, check_sent
+    from dpbench.report.documents.sent import SENDER, check_sent_folder
 
     if any(os.path.isfile(folder / name) for name in (SENDER, "runs.parquet")):
-        return check_sent(folder)
+        return check_sent_folder(folder)
     return _check_sequence(folder, progress)
 
 

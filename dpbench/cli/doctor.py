@@ -8,8 +8,8 @@ from dpbench.report.formats import MISSING
 from dpbench.report.machine_verdict import (
     calibration_text,
     disturbance_facts,
+    disturbance_text,
     machine_facts,
-    verdict_text,
 )
 from dpbench.solvers.table import check_availability, solver_names
 
@@ -34,7 +34,7 @@ def doctor_lines() -> list[str]:
         *disturbance_facts(harness.disturbance),
     ]
     verdicts = (
-        f"machine: {verdict_text(harness.disturbance)}",
+        f"machine: {disturbance_text(harness.disturbance)}",
         f"quiet means: {QUIET_RULE}",
         f"harness: {calibration_text(harness.p50_ns)}",
     )

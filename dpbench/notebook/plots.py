@@ -38,25 +38,25 @@ class RunPlots:
     def steps(self) -> Any:
         """Draw step time, error of the first move, iterations and forces over the steps."""
         from dpbench.analysis.verdict.requirements import Requirements
-        from dpbench.report.charts.steps import strips
+        from dpbench.report.charts.steps import draw_step_strips
 
         run = self._run
-        return strips(_steps_of(run.steps), _forces_of(run), Requirements().error_move)
+        return draw_step_strips(_steps_of(run.steps), _forces_of(run), Requirements().error_move)
 
     def ship(self, *others: JudgedRun) -> Any:
         """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
-        from dpbench.report.charts.ship import path
+        from dpbench.report.charts.ship import draw_path
 
-        return path(_laws((self._run, *others)), self._scenario(others))
+        return draw_path(_laws((self._run, *others)), self._scenario(others))
 
     def errors(self, *others: JudgedRun) -> Any:
         """Draw north, east, heading and radial error (Fig. 5 of the paper), as `ship`."""
-        from dpbench.report.charts.ship import precision
+        from dpbench.report.charts.ship import draw_pose_errors
 
-        return precision(_laws((self._run, *others)), self._scenario(others))
+        return draw_pose_errors(_laws((self._run, *others)), self._scenario(others))
 
     def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
         """Return the scenario of all runs; InputError for a replay and for different ones."""
@@ -84,11 +84,11 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 
 def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """Make the rows of `charts.strips`, one per step; times in µs, the largest of a replay."""
-    from dpbench.analysis.records.run_steps import counting_of, run_steps
+    """Make the rows of `draw_step_strips`, one per step; times in µs, the largest of a replay."""
+    from dpbench.analysis.records.run_steps import counting_rows, run_steps
     from dpbench.report.charts.steps import NO_ANSWER
 
-    ((_, run),) = run_steps(counting_of(steps))
+    ((_, run),) = run_steps(counting_rows(steps))
     return pd.DataFrame(
         {
             "k": run.k,

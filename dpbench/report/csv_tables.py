@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.times.solver_tables import (
+    experiment_table,
     hard_step_table,
     ratio_table,
-    tile_table,
     time_table,
     verdict_table,
 )
@@ -31,13 +31,13 @@ RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
-    """Return all tables by name, some of them empty; `TABLES` explains them."""
+    """Build all tables of the report by name; some of them may be empty."""
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts_table(data, recommendation),
-        "experiments": tile_table(data),
+        "experiments": experiment_table(data),
         "hard_steps": hard_step_table(data, data.thinned_runs),
-        "ladder": _ladder_table(data),
+        "ladder": _microsecond_times(data),
         "paired_ratios": ratio_table(data),
     }
     for topic in topics:
@@ -48,7 +48,7 @@ def build_tables(
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Write tables with rows and their legend into `folder`; remove those of earlier reports.
+    """Write the report's tables as CSV with a README; remove those of earlier reports.
 
     Raises InputError where the folder is a link.
     """
@@ -58,6 +58,7 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
 
 
 def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
+    """Return the README that explains each CSV table and its columns."""
     known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
     wording = {
         markdown_text(name): (
@@ -69,8 +70,8 @@ def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
     return render_document("tables.md", tables=wording)
 
 
-def _ladder_table(data: PageData) -> pd.DataFrame:
-    """Return the ladder in microseconds; the figure's axis has milliseconds."""
+def _microsecond_times(data: PageData) -> pd.DataFrame:
+    """Tabulate the step times and margins of solvers in microseconds."""
     table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
@@ -78,6 +79,7 @@ def _ladder_table(data: PageData) -> pd.DataFrame:
 
 
 def _verdicts_table(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
+    """Tabulate the verdict on each configuration with the reason for it."""
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]

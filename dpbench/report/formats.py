@@ -20,13 +20,13 @@ def time_text(nanoseconds: float) -> str:
     return f"{significant(nanoseconds / 1e9)} s"
 
 
-def micro_text(nanoseconds: float) -> str:
+def microseconds_text(nanoseconds: float) -> str:
     """Format a duration in µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Format `value` with so many significant digits and no exponent within 1e-4..1e7."""
+    """Format a number in significant digits, without exponent from 1e-4 to 1e7."""
     if not math.isfinite(value):
         return MISSING
     if value == 0.0:
@@ -41,16 +41,17 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def rounded_down(value: float, digits: int = 3) -> str:
-    """Format as `significant` does, but never above `value`: a bound that still holds."""
-    return _rounded(value, digits, ROUND_DOWN)
+    """Format a number in significant digits, rounded down: a bound that still holds."""
+    return _round_significant(value, digits, ROUND_DOWN)
 
 
 def rounded_up(value: float, digits: int = 3) -> str:
-    """Format as `significant` does, but never below `value`."""
-    return _rounded(value, digits, ROUND_UP)
+    """Format a number in significant digits, rounded up: a bound that still holds."""
+    return _round_significant(value, digits, ROUND_UP)
 
 
-def _rounded(value: float, digits: int, way: str) -> str:
+def _round_significant(value: float, digits: int, way: str) -> str:
+    """Format a positive number in significant digits, rounded up or down."""
     if not (math.isfinite(value) and value > 0.0):
         return significant(value, digits)
     exact = Decimal(value)
@@ -79,13 +80,13 @@ def share_text(share: float) -> str:
     return f"{min(max(percent, 0.1), 99.9):.1f} %"
 
 
-def of_sample_text(share: float) -> str:
+def sample_share_text(share: float) -> str:
     """Format a share of the sample in percent, two significant digits; it may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
 
 def as_float(value: object) -> float:
-    """Return a number out of a table as a float; a missing one (None, pd.NA, NaN) is NaN."""
+    """Convert a table cell to float; a missing one (None, pd.NA, NaN) is NaN."""
     try:
         return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
     except (TypeError, ValueError):
@@ -104,14 +105,14 @@ def plural(count: float, word: str) -> str:
 
 
 def seconds_text(value: float) -> str:
-    """Format a settling time; an infinite one never settled."""
+    """Format a settling time in seconds; "never" for an infinite one."""
     if math.isnan(value):
         return MISSING
     return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
 def interval_text(low: float, high: float) -> str:
-    """Format an interval in brackets."""
+    """Format an interval as `[low, high]`; a dash if an end is not finite."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     return f"[{significant(low)}, {significant(high)}]"
@@ -125,18 +126,18 @@ def and_list(words: list[str]) -> str:
 
 
 def counted_list(counts: Iterable[tuple[str, int]]) -> str:
-    """Join names with their counts, the largest first."""
+    """Join names with their counts, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])
     return and_list([f"{name} ({count})" for name, count in ordered])
 
 
-def unmarked(text: str) -> str:
-    """Remove the marks of Markdown, which a page and a terminal would show."""
+def strip_markdown(text: str) -> str:
+    """Remove bold and code marks of Markdown from a text."""
     return text.replace("**", "").replace("`", "")
 
 
 def toml_text(value: Any) -> str:
-    """Format a number of six digits as a TOML float; of an array its rows."""
+    """Format a number, or an array row by row, as TOML in six digits."""
     if isinstance(value, Iterable):
         return f"[{', '.join(map(toml_text, value))}]"
     text = f"{float(value):.6g}"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isnan
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import largest_of
+from dpbench.analysis.times.machine import largest_by_name
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
@@ -19,14 +19,14 @@ from dpbench.report.formats import (
 )
 
 
-def verdict_text(disturbance: Disturbance) -> str:
-    """Return "quiet", or "disturbed" and by what."""
+def disturbance_text(disturbance: Disturbance) -> str:
+    """Describe how other load disturbed the machine: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
-    """Judge the harness by the median times of its own solvers [ns]."""
+    """Describe how well the harness measures waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
@@ -34,7 +34,7 @@ def calibration_text(p50_ns: dict[str, float]) -> str:
 
 
 def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
-    """List the properties of a machine."""
+    """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
@@ -54,7 +54,7 @@ def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 
 def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """List what disturbed some replays, as the kernel shows it."""
+    """List what disturbed replays, as label and text: switches, stolen time, throttling."""
     disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
@@ -67,8 +67,8 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 
 def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """List the configurations that leave the processor by their own doing."""
-    own = largest_of(
+    """List configurations that cause context switches themselves, as label and text."""
+    own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
     wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())

@@ -13,21 +13,21 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
     calibration_medians,
     delayed_runs,
-    disturbance_of,
     timed_runs,
+    total_disturbance,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
-from dpbench.report.machine_verdict import calibration_text, verdict_text
+from dpbench.report.machine_verdict import calibration_text, disturbance_text
 from dpbench.report.page.data import PageData
-from dpbench.report.page.live import charts_of, drawn_figures
+from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
-from dpbench.report.topics.all import topics_of
+from dpbench.report.topics.all import build_topics
 from dpbench.report.verdict_text import count_solvers
 
 TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
@@ -38,7 +38,7 @@ BESIDE = ("slowdown", "random", "consequence")
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Results with the recommendation and topics made of them."""
+    """Results of a folder with the recommendation, topics, charts and tables on them."""
 
     results: Results
     data: PageData
@@ -53,39 +53,39 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """Build the report on some results; write nothing.
+        """Build the report on the results of a folder; write no file.
 
-        designs, capability : as of `topics_of`; baseline : as of `write_report`.
+        baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
-        data = PageData.of(records, verdicts_of(records, requirements))
+        data = PageData.of(records, judge_solvers(records, requirements))
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
         recommendation = build_recommendation(data, results.machine, baseline or named)
-        topics = topics_of(records, data.verdicts, designs, capability, data.studies)
+        topics = build_topics(records, data.verdicts, designs, capability, data.studies)
         if not can_draw():
             topics = [replace(topic, figures=()) for topic in topics]
         return cls(results, data, recommendation, topics)
 
     @cached_property
     def charts(self) -> Mapping[str, dict[str, Any]]:
-        """The figures that follow the selection, by section of the page and name."""
-        return charts_of(self.data) if can_draw() else {}
+        """Charts that follow the reader's selection, by section of the page and name."""
+        return draw_section_charts(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables, by name: see `csv_tables.tables_of`."""
+        """All tables of the report, by name."""
         return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """The figures that stand alone, by name."""
-        own = drawn_figures(self.charts)
+        """Figures that are written to files of their own, by name."""
+        own = select_static_charts(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List the last lines of a run on a terminal, each under a keyword."""
+        """List the closing lines of a run on the terminal, as keyword and text."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         rows = [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts
@@ -97,9 +97,9 @@ class Report:
         if verdicts.of:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
         records = self.data.records
-        disturbance = disturbance_of(timed_runs(records) or delayed_runs(records))
+        disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:
-            rows.append(("machine", f"{verdict_text(disturbance)}."))
+            rows.append(("machine", f"{disturbance_text(disturbance)}."))
         if medians := calibration_medians(records.calibration):
             rows.append(("harness", f"{calibration_text(medians)}."))
         return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

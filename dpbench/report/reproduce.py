@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, Law, figure_data, find_paper_runs
+from dpbench.analysis.suites.paper import PAPER, Law, find_paper_runs, paper_figure_data
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
@@ -15,10 +15,10 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_accidents
 from dpbench.files.writing import write_bytes, write_text
 from dpbench.report.charts.render import encode_figure
-from dpbench.report.formats import plural, unmarked
+from dpbench.report.formats import plural, strip_markdown
 from dpbench.report.page.section import Topic
-from dpbench.report.table import csv_bytes, markdown
-from dpbench.report.topics.paper import Claim, claims, count_reproduced, paper_topic
+from dpbench.report.table import csv_bytes, markdown_table
+from dpbench.report.topics.paper import Claim, count_reproduced, judge_claims, paper_topic
 from dpbench.report.words import render_document
 from dpbench.scenario.scenario import Scenario
 
@@ -32,10 +32,8 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Result of reproducing the paper.
+    """Outcome of reproducing the paper: summary lines, faults, completeness.
 
-    Parameters
-    ----------
     lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
     """
@@ -48,7 +46,7 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under an exact solver and the clipped law, and write the results.
+    """Run the paper's case under an exact solver and the clipped law; write the results.
 
     Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
     loops are not run again.
@@ -66,7 +64,7 @@ def reproduce_paper(
 
 
 def write_reproduction(runs: Path, folder: Path) -> Reproduction:
-    """Write the figures, data and claims of the paper from the runs of a result folder.
+    """Write figures, data and claims of the paper from the runs of a result folder.
 
     `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
     """
@@ -80,10 +78,10 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
-    _write_figures(folder, topic, find_paper_runs(records), scenario)
+    _write_paper_figures(folder, topic, find_paper_runs(records), scenario)
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
     write_text(folder / "claims.md", _claims_document(topic, results))
-    judged = claims(records)
+    judged = judge_claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
@@ -97,20 +95,24 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
-def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
+def _write_paper_figures(
+    folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario
+) -> None:
+    """Write each figure of the paper as PDF and SVG, and its data as CSV."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
             write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
-        data = pd.concat([figure_data(short, law, scenario) for law in laws])
+        data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
 def _claims_document(topic: Topic, results: Results) -> str:
+    """Return a Markdown document of the paper's claims and the solvers that ran."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
-    tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
+    tables = [(t.title, markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
     made = describe_version(results.suite)
     return render_document(
         "claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS
@@ -122,4 +124,4 @@ def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
-    return [unmarked(line) for line in named[:MOST_NAMED]] + unnamed
+    return [strip_markdown(line) for line in named[:MOST_NAMED]] + unnamed

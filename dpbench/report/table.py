@@ -9,7 +9,7 @@ from typing import Any, Self
 import pandas as pd
 
 from dpbench.display import table_html
-from dpbench.report.formats import unmarked
+from dpbench.report.formats import strip_markdown
 
 _TAG = re.compile(r"<(?=[A-Za-z/!?])")
 _LINK = re.compile(r"\](?=[(\[:])")
@@ -52,6 +52,7 @@ def csv_bytes(table: pd.DataFrame) -> bytes:
 
 
 def _disarm_formula(value: Any) -> Any:
+    """Put an apostrophe before a text that a spreadsheet would take for a formula."""
     if not isinstance(value, str) or not value.startswith(_FORMULA):
         return value
     try:
@@ -63,10 +64,8 @@ def _disarm_formula(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Table:
-    """Table of text.
+    """Table of text with heads, a title and a note, for page, file and Markdown.
 
-    Parameters
-    ----------
     heads : with units; note : population, route, machine, and what a failure counted as.
     text_columns : so many leading ones are left-aligned.
     shown : number of rows on the page, by default all, with 0 no table; a file has all of them.
@@ -83,46 +82,45 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
-        """Build the table of one row or more, each cell under its head."""
+        """Build a table from rows of cells by head."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
     @property
     def page_rows(self) -> list[list[str]]:
-        """What a page shows, without the marks of Markdown, which it would show too."""
-        return [[unmarked(cell) for cell in row] for row in self.rows[: self.shown]]
+        """Rows that the page shows, without Markdown marks."""
+        return [[strip_markdown(cell) for cell in row] for row in self.rows[: self.shown]]
 
     @property
     def frame(self) -> pd.DataFrame:
-        """All of it, as its file has it."""
+        """All rows of the table as a DataFrame of text."""
         return pd.DataFrame(self.rows, columns=list(self.heads))
 
     @property
     def cut(self) -> int:
-        """How many rows that leaves out."""
+        """Number of rows that the page leaves out."""
         return len(self.rows[self.shown :]) if self.shown is not None else 0
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+def markdown_table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1
+) -> str:
     """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
-    return "\n".join(map(_markdown_row, [heads, align, *rows]))
+    lines = (" | ".join(map(markdown_cell, cells)) for cells in [heads, align, *rows])
+    return "\n".join(f"| {line} |" for line in lines)
 
 
-def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
+def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
     """Return a Markdown document: the lines as a list, then the tables with titles and notes."""
     parts = [f"# {markdown_text(title)}", "\n".join(f"- {markdown_text(line)}" for line in lines)]
     parts += [
         f"## {markdown_text(t.title)}\n\n{markdown_line(t.note)}\n\n"
-        f"{markdown(t.heads, t.rows, t.text_columns)}"
+        f"{markdown_table(t.heads, t.rows, t.text_columns)}"
         for t in tables
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def html(table: Table) -> str:
+def html_table(table: Table) -> str:
     """Return the table as plain HTML, for a notebook."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(map(markdown_cell, cells))} |"

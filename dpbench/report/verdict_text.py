@@ -23,8 +23,8 @@ from dpbench.report.formats import (
     plural,
     share_text,
     significant,
+    strip_markdown,
     time_text,
-    unmarked,
 )
 from dpbench.report.words import read_words
 
@@ -32,7 +32,7 @@ NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def requirements_text(requirements: Requirements) -> str:
-    """State the requirements in one sentence."""
+    """State the controller's requirements on a solver in one sentence."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
@@ -53,7 +53,7 @@ _GROUPS = {"pass": "only otherwise"} | {
 
 
 def count_solvers(verdicts: Verdicts) -> str:
-    """Count the solvers by their best verdict: pass by default, pass otherwise, and the others."""
+    """State how many solvers pass, and which are late, fail or are inconclusive."""
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}
@@ -87,7 +87,7 @@ def deployment_facts(solver: str) -> str:
 def explain_no_recommendation(
     view: Records, verdicts: Verdicts, recommendation: SolverChoice
 ) -> str:
-    """Explain why nothing is recommended."""
+    """Explain why no solver is recommended."""
     if recommendation.faster is not None:
         return (
             "Nothing that can go aboard passes; "
@@ -102,10 +102,10 @@ def explain_no_recommendation(
 
 
 def usual_time_text(verdict: Verdict) -> str:
-    """Format the p99, or the p50 where there are too few steps for one."""
+    """Format a configuration's p99 step time, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(experiment_text(verdict.p99_run))}"
+    return f"p99 {time_text(verdict.p99_ns)} in {strip_markdown(experiment_text(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
@@ -124,16 +124,16 @@ def paired_text(compared: PairedComparison) -> str:
     return f"{wording}; which is faster depends on the yardstick" if compared.unstable else wording
 
 
-def clauses(findings: Sequence[Finding]) -> str:
-    """Join findings in plain clauses."""
-    return "; ".join(map(clause, findings))
+def describe_findings(findings: Sequence[Finding]) -> str:
+    """Describe findings on a configuration in clauses joined by semicolons."""
+    return "; ".join(map(describe_finding, findings))
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]
 
 
-def clause(finding: Finding) -> str:
-    """Word one finding as a plain clause."""
+def describe_finding(finding: Finding) -> str:
+    """Describe one finding on a configuration in a clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
@@ -162,7 +162,7 @@ def clause(finding: Finding) -> str:
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """Classify the answer at one step of a run."""
+    """Describe a solver's answer at one step: claimed or not, true or not."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
@@ -177,6 +177,7 @@ def experiment_text(row: RunRecord) -> str:
 
 
 def _experiments_text(rows: Sequence[RunRecord]) -> str:
+    """Name the scenarios and replays of several runs in one phrase."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]
@@ -189,6 +190,6 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
 
 
 def judged_runs_text(verdict: Verdict) -> str:
-    """Count the loops and replays that a configuration was judged on."""
+    """Count the closed loops and replays on which a configuration was judged."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

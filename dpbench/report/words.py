@@ -26,7 +26,8 @@ FILTERS = {
 
 
 @cache
-def _environment() -> Environment:
+def _template_environment() -> Environment:
+    """Return the Jinja environment with the number formats of the report as filters."""
     made = Environment(
         loader=PackageLoader("dpbench.report.documents", "templates"),
         undefined=StrictUndefined,
@@ -41,21 +42,22 @@ def _environment() -> Environment:
 
 
 @cache
-def _compiled(words: str) -> Template:
-    return _environment().from_string(words)
+def _compile_template(words: str) -> Template:
+    """Compile a text to a Jinja template; cached by text."""
+    return _template_environment().from_string(words)
 
 
 def fill_template(words: str, **values: Any) -> str:
-    """Fill a text that is itself a template."""
-    return _compiled(words).render(values)
+    """Fill values into a text that is itself a Jinja template."""
+    return _compile_template(words).render(values)
 
 
 def render_document(template: str, **values: Any) -> str:
-    """Render a document of `documents/templates`."""
-    return _environment().get_template(f"{template}.j2").render(values)
+    """Render a document from a template in `documents/templates`."""
+    return _template_environment().get_template(f"{template}.j2").render(values)
 
 
 @cache
 def read_words(module: str) -> dict[str, Any]:
-    """Read the TOML file beside a module, of its name."""
+    """Read a module's texts from the TOML file of the same name beside it."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

@@ -12,14 +12,14 @@ from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
-from dpbench.report.documents.sent import PAGE, prepare_folder
+from dpbench.report.documents.sent import PAGE, prepare_sent_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
-    """Write the report of the result folder `out` into it.
+    """Write the report of a result folder into it: page, Markdown, figures, tables.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def write_report_with_summary(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """Write the report as `write_report` does; also return `Report.summary_rows`.
+    """Write the report of a result folder; return the page's path and a summary.
 
     Parameters
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
     statement : file to write the one-page statement to, .pdf or .svg.
     send : folder to make that can be sent to others, see `documents/sent.py`.
-    solver, against : solvers to compare in `SOLVER.md`, see `documents/comment.py`.
+    solver, against : solvers to compare in `SOLVER.md`, see `compare_solver`.
 
     Raises
     ------
@@ -77,10 +77,10 @@ def write_report_with_summary(
         write_tables(tables, report.tables)
         write_text(folder / "report.md", report_markdown(report))
         page = folder / "report.html"
-        write_text(page, _page(folder, report))
+        write_text(page, _render_report_page(folder, report))
         if send is not None:
-            prepare_folder(folder, Path(send))
-            write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
+            prepare_sent_folder(folder, Path(send))
+            write_text(Path(send) / PAGE, _render_report_page(Path(send), report, light=True))
         ended = report.summary_rows()
         if solver is not None:
             write_text(folder / f"{solver}.md", comment)
@@ -88,7 +88,8 @@ def write_report_with_summary(
     return page, ended
 
 
-def _page(folder: Path, report: Report, *, light: bool = False) -> str:
+def _render_report_page(folder: Path, report: Report, *, light: bool = False) -> str:
+    """Return the report page of a folder as HTML; `light` leaves out the scripts."""
     r, light = report, light or not can_draw()
     return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
 

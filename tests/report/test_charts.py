@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 import dpbench
-from dpbench.report.charts.capability import COLUMNS, draw_rose
-from dpbench.report.charts.render import encode_figure, save
+from dpbench.report.charts.capability import COLUMNS, draw_capability_rose
+from dpbench.report.charts.render import encode_figure, save_figure
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.record import Family
 from dpbench.solvers.table import TABLE
@@ -29,7 +29,7 @@ def chart() -> Any:
         for case, less in (("intact", 0.0), ("board A", 5.0))
         for from_deg, wind in ((0.0, 30.0), (90.0, 15.0), (180.0, 25.0), (270.0, 15.0))
     ]
-    return draw_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship")
+    return draw_capability_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship")
 
 
 def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
@@ -52,7 +52,9 @@ def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
     for from_deg in range(0, 360, 15):
         wind = 32.6 if from_deg != clear else 30.5
         rows.append(("intact", float(from_deg), wind, 7))
-    specification = draw_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship").to_dict()
+    specification = draw_capability_rose(
+        pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship"
+    ).to_dict()
     tables = specification["datasets"].values()
     names = next(
         table for table in tables if set(table[0]) == {"x", "y", "name"} and table[0]["name"] == "3"
@@ -63,9 +65,9 @@ def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
 def test_points_with_untrue_claims_are_hollow() -> None:
     rows = [("intact", 0.0, 20.0, 7, 0), ("intact", 90.0, 15.0, 6, 2)]
     table = pd.DataFrame(rows, columns=[*COLUMNS, "untrue"])
-    marks = [layer["mark"] for layer in draw_rose(table, "Some ship").to_dict()["layer"]]
+    marks = [layer["mark"] for layer in draw_capability_rose(table, "Some ship").to_dict()["layer"]]
     assert [mark["filled"] for mark in marks if mark["type"] == "point"] == [True, False]
-    plain = draw_rose(table.assign(untrue=0), "Some ship").to_dict()["layer"]
+    plain = draw_capability_rose(table.assign(untrue=0), "Some ship").to_dict()["layer"]
     assert [m["mark"]["filled"] for m in plain if m["mark"]["type"] == "point"] == [True]
 
 
@@ -77,14 +79,16 @@ def test_it_is_written_in_four_formats(
     chart: Any, tmp_path: Path, suffix: str, begins: bytes
 ) -> None:
     """The page fetches nothing: its libraries are inside."""
-    written = save(chart, tmp_path / f"rose.{suffix}").read_bytes()
+    written = save_figure(chart, tmp_path / f"rose.{suffix}").read_bytes()
     assert written.lstrip().startswith(begins)
     assert b"<script src=" not in written
 
 
 def test_names_that_xml_cannot_hold_are_drawn() -> None:
     rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
-    drawn = encode_figure(draw_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg").decode()
+    drawn = encode_figure(
+        draw_capability_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg"
+    ).decode()
     assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)
 
 

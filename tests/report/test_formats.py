@@ -12,7 +12,7 @@ from jinja2.defaults import DEFAULT_FILTERS
 
 import dpbench.report
 from dpbench.report import formats
-from dpbench.report.table import markdown
+from dpbench.report.table import markdown_table
 from dpbench.report.words import FILTERS, fill_template
 
 REPORT = Path(dpbench.report.__file__).parent
@@ -47,7 +47,7 @@ def test_numbers_and_lists(text: Callable[[Any], str], printed: dict[Any, str]) 
 
 
 def test_pipes_do_not_break_markdown() -> None:
-    text = markdown(("a", "b"), (("x | y", "1"),))
+    text = markdown_table(("a", "b"), (("x | y", "1"),))
     assert text.splitlines() == ["| a | b |", "| :-- | --: |", "| x \\| y | 1 |"]
 
 

@@ -10,7 +10,7 @@ import pytest
 from markupsafe import escape
 from rich.console import Console
 
-from dpbench.analysis.compare.answers import DONE, Answer
+from dpbench.analysis.compare.answers import DONE, FigureChange
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
@@ -26,20 +26,20 @@ from dpbench.cli.listing import list_table
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.compare.comparison import answers_table, solvers_table, times_table
-from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.compare.comparison import changes_table, solvers_table, times_table
+from dpbench.report.glossary import glossary_markdown, term_meanings, topics
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
-from dpbench.report.topics.capability import row_of
+from dpbench.report.topics.capability import consequence_row
 from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.thrusters import row_of as thruster_row
+from dpbench.report.topics.thrusters import wear_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
 from tests.report.conftest import of_seas
 
-CHANGED = Answer(
+CHANGED = FigureChange(
     SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
     DONE,
     (2.0, 2.0),
@@ -78,12 +78,12 @@ PRINTED = {
 @pytest.mark.parametrize("what", PRINTED)
 def test_every_value_of_an_enumeration_is_explained(what: str) -> None:
     assert PRINTED[what]
-    assert not set(PRINTED[what]) - set(meanings())
+    assert not set(PRINTED[what]) - set(term_meanings())
 
 
 def _spoken() -> set[str]:
     """Terms, each alone: those that share an entry are set apart by commas."""
-    return {part for term in meanings() for part in (term, *term.split(", "))}
+    return {part for term in term_meanings() for part in (term, *term.split(", "))}
 
 
 @pytest.mark.slow
@@ -96,7 +96,7 @@ def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
 
 @pytest.mark.parametrize(
     "table",
-    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), answers_table([CHANGED], 0.05)],
+    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), changes_table([CHANGED], 0.05)],
     ids=["solvers", "times", "answers"],
 )
 def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
@@ -110,7 +110,7 @@ def test_what_check_says_of_a_ship_is_explained() -> None:
     names = {row[:22].strip() for row in rows}
     assert len(names) == 5
     assert {*names, *axes.split()} <= _spoken()
-    assert sideways.startswith("1 m/s sideways") and "1 m/s sideways" in meanings()
+    assert sideways.startswith("1 m/s sideways") and "1 m/s sideways" in term_meanings()
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
 
 def test_every_head_of_a_consequence_analysis_is_explained() -> None:
     answers = BatchAnswers("daqp", "daqp", 1, 1, 0, 1, 0, 0, 0, p99=0.01, largest=0.02)
-    heads = set(row_of(answers, [True]))
+    heads = set(consequence_row(answers, [True]))
     assert len(heads) == 9
     assert heads <= _spoken()
 
@@ -152,7 +152,7 @@ def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> No
     topic = study_topic(find_studies(of_seas(records).view()))
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
-    assert {*heads, *thruster_row("", [], {}, Requirements())} <= _spoken()
+    assert {*heads, *wear_row("", [], {}, Requirements())} <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:
@@ -162,11 +162,11 @@ def test_a_word_that_is_not_explained_would_be_found() -> None:
 def test_a_term_is_explained_once_and_in_a_sentence() -> None:
     counts = Counter(term for terms in topics().values() for term in terms)
     assert max(counts.values()) == 1
-    assert all(text.endswith(".") or text.endswith("?") for text in meanings().values())
+    assert all(text.endswith(".") or text.endswith("?") for text in term_meanings().values())
 
 
 def test_the_page_of_the_documentation_is_the_glossary() -> None:
-    assert DOCS.read_text(encoding="utf-8") == as_markdown()
+    assert DOCS.read_text(encoding="utf-8") == glossary_markdown()
 
 
 def test_a_term_is_linked_where_a_section_names_it_first() -> None:
@@ -174,7 +174,7 @@ def test_a_term_is_linked_where_a_section_names_it_first() -> None:
     output = terms("Replays of a<b: the requirements, the replay and requirements.")
     assert output.count("<a ") == 2 and "a&lt;b" in output
     assert output.startswith('<a class="term" href="#word-replay"')
-    assert f'title="{escape(meanings()["replay"])}">Replays</a>' in output
+    assert f'title="{escape(term_meanings()["replay"])}">Replays</a>' in output
     assert "<a " not in terms("The requirements again.")
     terms.section()
     assert "<a " in terms("The requirements in a new section.")
@@ -197,7 +197,7 @@ def test_every_phrase_stands_for_a_term_of_the_glossary(phrase: str) -> None:
     terms = Terms([])
     assert f">{phrase}</a>" in terms(f"a {phrase} there")
     assert [word.term for word in terms.words] == [PHRASES[phrase]]
-    assert PHRASES[phrase] in meanings()
+    assert PHRASES[phrase] in term_meanings()
 
 
 def test_every_link_of_the_page_leads_to_its_meaning(written: Any) -> None:

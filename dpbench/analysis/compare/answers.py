@@ -35,7 +35,7 @@ BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
 
 @dataclass(frozen=True)
 class Measure:
-    """Figure of a run; a `relative` change counts beyond the margin, else any change does."""
+    """Accuracy or control figure of a run, and how large a change of it counts."""
 
     column: str
     head: str
@@ -60,8 +60,8 @@ DONE = Measure("steps_done", "steps done", False, False, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """One figure of a pair, its range over the rounds of either run, and its change."""
+class FigureChange:
+    """One figure of a pair of runs: its range over the rounds of A and of B, and its change."""
 
     pair: Pair
     measure: Measure
@@ -71,26 +71,28 @@ class Answer:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Identity, figure, ranges in A and B and change, for a table."""
+        """Table row: identity of the runs, figure, its range in A and in B, and its change."""
         ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
         figure = {"figure": self.measure.column}
         return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
 
 
-def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
-    """Compare every figure of every pair; a pair whose outcome changed is judged by that."""
+def compare_figures(
+    a: Records, b: Records, pairs: Sequence[Pair], margin: float
+) -> list[FigureChange]:
+    """Compare the accuracy and control figures of each pair of runs."""
     answers = []
     for pair in pairs:
         for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
             change = _classify_change(measure, in_a, in_b, margin) if repeats else "not comparable"
-            answers.append(Answer(pair, measure, in_a, in_b, change))
+            answers.append(FigureChange(pair, measure, in_a, in_b, change))
     return answers
 
 
 def _compare_figures(
     a: Records, b: Records, pair: Pair
 ) -> Iterator[tuple[Measure, Range, Range, bool]]:
-    """Yield every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
+    """Yield each figure of two paired runs, its range in A and B, and if it is comparable."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
@@ -104,8 +106,8 @@ def _compare_figures(
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
         yield DONE, _point_range(pair.a.steps_done), _point_range(pair.b.steps_done), True
-    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_before_time_limit, steps))
-    unlimited = complete and all(np.isinf(_before_time_limit(one)) for one in steps)
+    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_first_time_limited_step, steps))
+    unlimited = complete and all(np.isinf(_first_time_limited_step(one)) for one in steps)
     accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
     ranges_a, ranges_b = (
         _accuracy_ranges(one, run, repeated)
@@ -119,11 +121,12 @@ def _compare_figures(
 
 
 def _point_range(value: float) -> Range:
+    """Return the range (low, high) of a single value."""
     return float(value), float(value)
 
 
 def _classify_change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
-    """Classify a change; two missing figures are the same, one that went missing is worse."""
+    """Classify a figure's change from run A to B: worse, better or the same."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
         return "same" if missing_a and missing_b else "worse" if missing_b else "better"
@@ -141,14 +144,14 @@ _STEPS = (
 )
 
 
-def _before_time_limit(steps: pd.DataFrame) -> float:
-    """Return the first step whose answer was cut short by the solver's time limit, or inf."""
+def _first_time_limited_step(steps: pd.DataFrame) -> float:
+    """Return the first step that the solver's time limit cut short; inf for none."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
 
 
 def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
-    """Return the extremes over the counting rounds of each figure, on the first `common` steps."""
+    """Return the range over rounds of each accuracy figure, on steps before `common`."""
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}

@@ -37,7 +37,7 @@ _MEDIAN_VARIANCE = np.pi / 2
 
 @dataclass(frozen=True)
 class Prior:
-    """Noise assumed before the data: its standard deviation (log), its weight in df."""
+    """Assumed noise between two runs: standard deviation of log ratios, degrees of freedom."""
 
     sd: float
     df: float
@@ -55,10 +55,8 @@ is wider."""
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessment of one ratio between two runs.
+    """Verdict on one step time ratio between two runs, with interval and p-values.
 
-    Parameters
-    ----------
     raw : ratio as measured; machine : factor taken out of it; ratio : raw / machine with an
         interval that holds for all ratios of the table together (Bonferroni).
     p_differs, p_equal : adjusted (Holm) for "beyond the margin" and "within the margin".
@@ -74,7 +72,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Estimated log ratios (N,): `effect` + `machine` was measured; the effect's error and df."""
+    """Log step time ratios (N,): effect, machine factor, the effect's error and df."""
 
     effect: Floats
     machine: Floats
@@ -92,8 +90,6 @@ def remove_machine_factor(
 ) -> Evidence:
     """Divide out each group's common machine factor; estimate the log ratios left and their errors.
 
-    Parameters
-    ----------
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
     prior : of the noise between runs.
@@ -130,10 +126,8 @@ def remove_reference_factor(
     reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
-    """Divide each ratio by that of a reference solver in its group; estimate errors as above.
+    """Divide each ratio by that of a reference solver in its group; estimate its error.
 
-    Parameters
-    ----------
     reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
     labels, rows = np.asarray(groups), np.arange(len(logs))
@@ -154,7 +148,7 @@ def remove_reference_factor(
 def _estimate_spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
-    """Variance of the configurations around the median of their group, moderated, and its df.
+    """Estimate the variance of log ratios around their group's median, and its df.
 
     Moderation never makes it smaller than it is found: too quiet a prior would make claims.
     `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
@@ -173,8 +167,8 @@ def _estimate_spread(
     return max(variance, sd**2), prior.df + df
 
 
-def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """Assess each ratio; all verdicts hold together at family-wise error `alpha`.
+def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
+    """Judge each step time ratio slower, faster, equivalent or undecided.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two

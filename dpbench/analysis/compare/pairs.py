@@ -16,14 +16,14 @@ LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A cell of folder A and the same cell of folder B."""
+    """Two runs of one configuration on one problem, from result folders A and B."""
 
     a: RunRecord
     b: RunRecord
 
     @property
     def label(self) -> str:
-        """The configuration, with both versions and builds of its solver where they differ."""
+        """Name of the configuration, with both solver versions where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
         return self.a.configuration.label_of(f"{self.a.solver}{versions}")
@@ -31,7 +31,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of two folders; as text the cells without a partner, changed, or lost in either."""
+    """Paired runs of two result folders, and descriptions of the runs left unpaired."""
 
     pairs: list[Pair]
     only_a: list[str]
@@ -41,7 +41,7 @@ class Pairs:
 
 
 def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """List in what two machines differ by their descriptions; nothing for one machine."""
+    """List the properties in which two machines differ; empty for one machine."""
     if a["id"] == b["id"]:
         return []
     differ = [name for name in LASTING if a.get(name) != b.get(name)]
@@ -49,7 +49,7 @@ def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]
 
 
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
-    """Pair the cells of two folders.
+    """Pair the runs of two result folders by configuration and problem.
 
     A cell refused in both is left out; one whose problem changed under its name has no partner.
 
@@ -63,35 +63,37 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
         pair = Pair(cells_a[key], cells_b[key])
         outcomes = pair.a.outcome, pair.b.outcome
         if problem_key(pair.a) != problem_key(pair.b):
-            changed.append(_cell_name(pair.a))
+            changed.append(_describe_cell(pair.a))
         elif "lost" in outcomes:
-            lost.append(_cell_name(pair.a))
+            lost.append(_describe_cell(pair.a))
         elif outcomes != ("refused", "refused"):
             pairs.append(pair)
     if not pairs and not lost:
         missing = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
-    only_a = [_cell_name(run) for key, run in cells_a.items() if key not in cells_b]
-    only_b = [_cell_name(run) for key, run in cells_b.items() if key not in cells_a]
+    only_a = [_describe_cell(run) for key, run in cells_a.items() if key not in cells_b]
+    only_b = [_describe_cell(run) for key, run in cells_b.items() if key not in cells_a]
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
 def cell_key(run: RunRecord) -> dict[str, Any]:
-    """Return the columns of `KEY` of a run."""
+    """Return the columns that identify a run: mode, problem, configuration, steps."""
     return {column: getattr(run, column) for column in KEY}
 
 
 def _runs_by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
+    """Return a folder's runs by their identifying columns, without slow-computer loops."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
     return {tuple(cell_key(run).values()): run for run in lasting}
 
 
-def _cell_name(run: RunRecord) -> str:
+def _describe_cell(run: RunRecord) -> str:
+    """Describe a run in words: configuration, mode, number of steps and problem."""
     mode = run.mode.replace("_", " ")
     return f"{run.configuration.label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
 def problem_key(run: RunRecord) -> tuple[object, ...]:
-    """Return what else cells of one problem share, as far as their descriptions tell."""
+    """Return a key of a run's problem: scenario documents, QP source and fallbacks."""
     return run.files, run.source, run.first, run.fallback, run.backup

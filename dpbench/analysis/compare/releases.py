@@ -20,10 +20,8 @@ from dpbench.errors import InputError, UnknownNameError, list_allowed
 
 @dataclass(frozen=True, eq=False)
 class Release:
-    """One version of a solver in one configuration on one problem.
+    """Runs and step times of one solver version on one problem in one configuration.
 
-    Parameters
-    ----------
     runs : of every folder that has it, with the folder's name.
     p50, p99, largest : of the algorithmic step time, geometric mean over the folders, in ns, or as
         multiples of the reference solver's p50 in the same folder; NaN where nothing was timed.
@@ -37,71 +35,69 @@ class Release:
 
     @property
     def load_ns(self) -> float:
-        """The load kernel beside its replays, geometric mean over the folders [ns]."""
+        """Time of the load kernel beside the replays, geometric mean over the folders [ns]."""
         return _geometric_mean([run.load_kernel_ns for run in self.runs.values()])
 
     @property
     def error_move(self) -> float:
-        """The largest error of the first move."""
+        """Largest error of the first move over all runs of the version."""
         return largest_known([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
-        """Most steps a round of a run that were claimed solved and are not."""
+        """Largest number per round of steps that were claimed solved but are not."""
         return largest_known(
             [_count_per_round(run, run.claimed_not_true) for run in self.runs.values()]
         )
 
     @property
     def failed_steps(self) -> float:
-        """Most failed steps a round of a run."""
+        """Largest number of failed steps per round of a run."""
         return largest_known(
             [_count_per_round(run, run.failed_steps) for run in self.runs.values()]
         )
 
     @property
     def outcome(self) -> str:
-        """The worst outcome of its runs."""
+        """Worst outcome of the version's runs, from finished to crashed."""
         outcomes = {run.outcome for run in self.runs.values()}
         return max(outcomes, key=lambda one: ORDER.index(one) if one in ORDER else len(ORDER))
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Releases of a solver in one configuration on one problem, the oldest first."""
+    """Versions of a solver in one configuration on one problem, the oldest first."""
 
     releases: Sequence[Release]
 
     @property
     def run(self) -> RunRecord:
-        """One of its runs, for what all of them share."""
+        """One of the runs, for properties that all versions share."""
         return next(iter(self.releases[0].runs.values()))
 
     @property
     def changed(self) -> bool:
-        """True if there are several versions."""
+        """True if more than one version of the solver was run."""
         return len(self.releases) > 1
 
     def change(self, i: int) -> float:
-        """p50 of release i over that of the one before; NaN for the first."""
+        """Return the p50 step time of version i over that of the one before; NaN for the first."""
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
     def load_change(self, i: int) -> float:
-        """Return that ratio of the load kernel, timed in the same rounds: other load."""
+        """Return the load kernel's time beside version i over that beside the one before."""
         return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
     def whole_change(self) -> float:
-        """p50 of the newest release over that of the oldest; NaN where one was not timed."""
+        """p50 step time of the newest version over that of the oldest; NaN if untimed."""
         return self.releases[-1].p50 / self.releases[0].p50
 
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """All histories of some folders.
+    """Version histories of all solvers in several result folders, and their time unit.
 
-    Parameters
-    ----------
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
     spread : the largest ratio between the folders of two p50 of one version of one configuration:
         what lies within it is no change; NaN where no version was run twice.
@@ -116,7 +112,7 @@ class Histories:
 
 
 def compare_releases(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """Return the releases of every configuration and problem that two folders have.
+    """Compare solver versions on each configuration and problem of several folders.
 
     Parameters
     ----------
@@ -136,16 +132,16 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
     if not common:
         allowed = "folders of the same suite"
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
-    units = {name: _time_units(records, solver) for name, records in folders.items()}
+    units = {name: _reference_times(records, solver) for name, records in folders.items()}
     by_cell = [_build_history(runs, units) for runs in common.values()]
     by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _folder_ratios(history, units)]
+    ratios = [ratio for history in by_cell for ratio in _ratios_between_folders(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
 
 def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
-    """Group runs by cell and folder: none of the baseline law, delayed, lost or refused."""
+    """Group runs by problem and configuration, without lost, refused and slowed-down ones."""
     cells: dict[str, dict[str, RunRecord]] = {}
     for name, records in folders.items():
         for run in records.all_runs:
@@ -170,11 +166,12 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
 
 
 def _timed_replays(records: Records) -> Iterator[RunRecord]:
+    """Yield the replays of a result folder that have a median step time."""
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
-def _time_units(records: Records, solver: str) -> Mapping[str, float] | None:
-    """Return the p50 of the reference's most usual run, by problem; None without a reference."""
+def _reference_times(records: Records, solver: str) -> Mapping[str, float] | None:
+    """Return the reference solver's p50 [ns] by problem; None without a reference."""
     if not solver:
         return None
     runs = sorted(
@@ -188,6 +185,7 @@ def _time_units(records: Records, solver: str) -> Mapping[str, float] | None:
 def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
+    """Group the runs of one configuration on one problem by version, oldest first."""
     builds = len({run.build for run in runs.values()})
 
     def version_of(run: RunRecord) -> str:
@@ -196,39 +194,40 @@ def _build_history(
     releases = []
     for version, of_version in group_by(runs.items(), lambda item: version_of(item[1])).items():
         times = (
-            _geometric_mean([_time_in_units(run, column, units[name]) for name, run in of_version])
+            _geometric_mean([_relative_time(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
         )
         releases.append(Release(version, dict(of_version), *times))
     return History(sorted(releases, key=lambda release: _version_key(release.version)))
 
 
-def _time_in_units(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+    """Return a replay's time over the reference solver's, or in ns; NaN for a loop."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
     return float(getattr(run, column)) / divisor
 
 
-def _folder_ratios(
+def _ratios_between_folders(
     history: History, units: Mapping[str, Mapping[str, float] | None]
 ) -> Iterator[float]:
-    """Yield the ratio of the folders' largest and least p50 of each version."""
+    """Yield, for each version, its largest p50 among the folders over the smallest."""
     for release in history.releases:
         times = [
-            _time_in_units(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
+            _relative_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
         ]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)
 
 
 def _count_per_round(run: RunRecord, count: float) -> float:
-    """Return a count over all rounds of a replay as one per round; a loop has one round."""
+    """Convert a count over all rounds of a run to a count per round."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
 def _version_key(version: str) -> tuple[Any, ...]:
-    """Sort key: releases by number, those without one first."""
+    """Return a sort key of a version: by number, versions without one first."""
     try:
         return True, Version(version.partition(" ")[0]), version
     except InvalidVersion:
@@ -236,6 +235,7 @@ def _version_key(version: str) -> tuple[Any, ...]:
 
 
 def _geometric_mean(values: Sequence[float]) -> float:
+    """Return the geometric mean of positive values."""
     return float(np.exp(np.mean(np.log(values))))
 
 
@@ -244,7 +244,7 @@ FIGURES = ("p50", "p99", "largest", "error")
 
 
 def release_table(histories: Histories, most: int) -> pd.DataFrame:
-    """Return the releases of each solver on each of the first `most` replayed problems.
+    """Tabulate times and errors of each solver version on the first `most` problems.
 
     Its most usual configuration: a row per version, label, age (0 of the newest, else 1), problem
     and `FIGURES`.

@@ -14,7 +14,7 @@ from dpbench.analysis.compare.evidence import (
     MACHINE_NOISE,
     Assessment,
     Evidence,
-    assess,
+    assess_ratios,
     remove_machine_factor,
     remove_reference_factor,
 )
@@ -53,10 +53,8 @@ sets without a library below them, so that a build matters least."""
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """log(B/A) of one configuration on one sequence, from the minima over as many rounds of each.
+    """Log step time ratio B/A of one configuration on one sequence, with its error.
 
-    Parameters
-    ----------
     own : standard error from inside the runs.
     median_ns : the median step in A and in B [ns].
     k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
@@ -74,20 +72,20 @@ class Timing:
 
     @property
     def problem(self) -> str:
-        """The sequence it was measured on."""
+        """Name of the QP sequence on which the times were measured."""
         return self.pair.a.problem
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """Timing with its assessment."""
+class ComparedTimes:
+    """Step time ratio of one configuration between two runs, with the verdict on it."""
 
     timing: Timing
     assessment: Assessment
 
     @property
     def row(self) -> dict[str, Any]:
-        """Identity, ratios, interval, adjusted p-values and verdict, for a table."""
+        """Table row: identity, ratios, interval, adjusted p-values and verdict."""
         timing, found = self.timing, self.assessment
         ratio = {"ratio": found.ratio.value, "low": found.ratio.low, "high": found.ratio.high}
         p_values = {"p_differs": found.p_differs, "p_equal": found.p_equal}
@@ -99,11 +97,9 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Shared:
-    """Factor that all configurations of a sequence share.
+class SharedFactor:
+    """Step time factor B/A that all configurations on one sequence have in common.
 
-    Parameters
-    ----------
     factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
         and the load kernel, NaN where a folder does not have it.
     assessment : on factor / what the kernels lead to expect; None where it cannot be judged, for
@@ -119,23 +115,23 @@ class Shared:
     unjudged: str
 
 
-def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
-    """Return the timings of all replayed pairs that have one."""
+def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
+    """Compute the step time ratio of each pair of replays that was timed."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(first_by(filter(None, timings), _evidence_key).values())
+    return list(first_by(filter(None, timings), _measurement_key).values())
 
 
-def _evidence_key(timing: Timing) -> tuple[object, ...]:
-    """Return a key without the settings' name: those without effect are one run, one evidence."""
+def _measurement_key(timing: Timing) -> tuple[object, ...]:
+    """Return a key that equals for two timings of one run under two settings names."""
     unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
 def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Return why the reference kernel cannot stand for the machine, by sequence; "" if it can.
+    """Return why the reference kernel does not show the machine's speed, by sequence.
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
     quiet while they timed the sequence.
@@ -149,16 +145,16 @@ def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -
         if not np.isfinite(_kernel_ratios(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
-            reasons[name] = f"{_name_runs(disturbed)} disturbed"
+            reasons[name] = f"{_flagged_runs_text(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_name_runs(hidden)}"
+            reasons[name] = f"nothing tells how quiet {_flagged_runs_text(hidden)}"
         else:
             reasons[name] = ""
     return reasons
 
 
 def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
-    """Return the solver that two machines are compared by; "" where both timed none.
+    """Choose the solver by whose times two machines are compared; "" for none.
 
     It is the one asked for, else one of `REFERENCES`, else the one timed on the most sequences.
 
@@ -176,7 +172,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
 
 
 def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
-    """Return (N,) the index of the reference solver's timing on the same sequence; −1 for none.
+    """Return the index (N,) of the reference solver's timing on the same sequence, or −1.
 
     Of several the most usual, see `usual_first_key`.
     """
@@ -188,18 +184,16 @@ def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
 
 
 def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
-    """Sort key: default settings, each step from nothing, in scaled units first."""
+    """Return a sort key of a run: scaled units, default settings, cold start first."""
     settings = settings_level(run.settings)
     return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
 
 
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
-) -> list[Compared]:
-    """Assess the ratios to a reference solver, which shows the change of the machine.
+) -> list[ComparedTimes]:
+    """Judge each step time ratio after division by that of a reference solver.
 
-    Parameters
-    ----------
     rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """
     groups = [t.problem for t in timings]
@@ -209,22 +203,20 @@ def compare_to_reference(
     family = Evidence(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
     )
-    assessments = assess(family, margin, alpha) if len(judged) else []
-    return [Compared(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
+    assessments = assess_ratios(family, margin, alpha) if len(judged) else []
+    return [ComparedTimes(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
-def _name_runs(of: Sequence[bool]) -> str:
-    """Return which of two runs, with its verb."""
+def _flagged_runs_text(of: Sequence[bool]) -> str:
+    """Return "run A was", "run B was" or "both runs were", as two flags tell."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
-) -> tuple[list[Compared], list[Shared]]:
-    """Assess the configurations and what they share: one family of claims.
+) -> tuple[list[ComparedTimes], list[SharedFactor]]:
+    """Judge each configuration's step time ratio, and the factor each sequence shares.
 
-    Parameters
-    ----------
     unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
         configurations share, nor of those that only the reference kernel is compared with.
     """
@@ -233,7 +225,7 @@ def compare_times(
     machines = {n: _kernel_ratios(own) for n, own in group_by(timings, lambda t: t.problem).items()}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
-    met = _load_ratios(timings, labels)
+    met = _relative_load_ratios(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
     configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
@@ -241,7 +233,7 @@ def compare_times(
     together = [
         (
             factors[name] - machine.expected,
-            machine.measure_error(configurations.error[labels == name]),
+            machine.prediction_error(configurations.error[labels == name]),
         )
         for name, machine in machines.items()
         if not unjudged[name]
@@ -252,44 +244,44 @@ def compare_times(
         np.concatenate([configurations.error, [error for _, error in together]]),
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
-    assessments = assess(family, margin, alpha)
-    compared = [Compared(*both) for both in zip(timings, assessments, strict=False)]
+    assessments = assess_ratios(family, margin, alpha)
+    compared = [ComparedTimes(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
     shared = []
     for name, machine in machines.items():
         common_logs = factors[name], machine.kernel, machine.load
         factor, kernel, load = (float(np.exp(log)) for log in common_logs)
         assessment, count = None if unjudged[name] else next(rest), groups.count(name)
-        shared.append(Shared(name, factor, kernel, load, count, assessment, unjudged[name]))
+        shared.append(SharedFactor(name, factor, kernel, load, count, assessment, unjudged[name]))
     return compared, shared
 
 
 @dataclass(frozen=True)
-class _Machine:
-    """log(B/A) of the two kernels, medians over the workers of a sequence."""
+class _KernelRatios:
+    """Log time ratios B/A of the reference kernel and of the load kernel."""
 
     kernel: float
     load: float
 
     @property
-    def beyond(self) -> float:
-        """Excess of the load kernel over the reference kernel; 0 where it is unknown."""
+    def load_excess(self) -> float:
+        """Log ratio of the load kernel less that of the reference kernel; 0 if unknown."""
         return self.load - self.kernel if np.isfinite(self.load) else 0.0
 
     @property
     def expected(self) -> float:
-        """Log factor of the step times that the kernels lead to expect."""
-        return self.kernel + LOAD_WEIGHT * self.beyond
+        """Log step time ratio that the ratios of both kernels predict."""
+        return self.kernel + LOAD_WEIGHT * self.load_excess
 
-    def measure_error(self, configurations: Floats) -> float:
-        """Return its error against the median of configurations with these errors."""
+    def prediction_error(self, configurations: Floats) -> float:
+        """Return the error of the predicted log ratio against the configurations' median."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
-        load2 = (LOAD_WEIGHT_ERROR * self.beyond) ** 2
+        load2 = (LOAD_WEIGHT_ERROR * self.load_excess) ** 2
         return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
-def _load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
-    """Return (N,) log(B/A) of a configuration's load kernel less the median over its sequence.
+def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
+    """Return (N,) log(B/A) of each load kernel less the median over its sequence.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
@@ -302,20 +294,20 @@ def _load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
 
 
 def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
-    """Return (N,) log(B/A) of a column of times."""
+    """Return (N,) log(B/A) of a column of times of the paired runs."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
-def _kernel_ratios(timings: Sequence[Timing]) -> _Machine:
-    """Return the kernels of one sequence, timed in every worker; NaN where a folder has none."""
+def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
+    """Return the median log ratios of both kernels over a sequence; NaN if untimed."""
     columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
-    return _Machine(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
+    return _KernelRatios(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
-    """Return the times (rounds, steps) [ns] of the rounds that count."""
+    """Return the step times (rounds, steps) [ns] of a run's rounds that count."""
     counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
         return None
@@ -327,7 +319,7 @@ def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
 
 
 def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
-    """Compare the medians in `runs.parquet`, which have no known error."""
+    """Compute a step time ratio from recorded medians, whose error is unknown."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
         return None
@@ -338,6 +330,7 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
 
 
 def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
+    """Compute a step time ratio from the fastest round of each step that both runs did."""
     a, b = _round_times(records_a, pair.a), _round_times(records_b, pair.b)
     if a is None or b is None:
         return None
@@ -363,7 +356,7 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
 
 
 def _jackknife_variance(times: Floats) -> float:
-    """Return the variance of a run's mean log minimum time (rounds, steps): a jackknife.
+    """Return the jackknife variance of a mean log fastest time over rounds.
 
     A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the
     minimum over the others unchanged, and one reached in a single part is not reliable. A single

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_of, run_steps
+from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_rows, run_steps
 from dpbench.analysis.records.step_times import (
     DELAY_COLUMNS,
     TIME_COLUMNS,
@@ -26,7 +26,7 @@ from dpbench.solvers.calibration import CALIBRATION
 
 
 class Records:
-    """Records of one result folder.
+    """All runs of one result folder by topic, with access to their steps and times.
 
     Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
     `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
@@ -39,7 +39,7 @@ class Records:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        every = records_of(results.runs)
+        every = build_records(results.runs)
         runs = [run if self.is_ranked(run) else run.without_times() for run in every]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
@@ -63,36 +63,36 @@ class Records:
 
     @property
     def has_steps(self) -> bool:
-        """True if the folder has the steps of its runs; one sent to others has none."""
+        """True if the folder has `steps.parquet`; one sent to others has none."""
         return self._steps.rows > 0
 
     def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the step rows of a run, with some of `STEP_COLUMNS`; empty without steps."""
+        """Return the step rows of a run with the given columns; empty without steps."""
         return self._steps.read_run(run.run_id, columns)
 
     def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the step rows of a run that count."""
+        """Return a run's step rows that count: no warm-up, no disturbed round."""
         steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
 
     def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Yield step rows of some runs in file order, some hundred thousand at a time."""
+        """Yield the step rows of given runs as tables of some hundred thousand rows."""
         wanted = {run.run_id for run in runs if run.has_steps}
         return self._steps.scan(columns, wanted) if wanted else iter(())
 
     def run_steps(
         self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
-        """Yield id, steps and rows with `columns` of the runs that left a counting row."""
+        """Yield the id, steps merged over rounds, and step rows of each given run."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
             rows, places = table[list(columns)], run_slices(table["run_id"])
-            for run_id, steps in run_steps(counting_of(table)):
+            for run_id, steps in run_steps(counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]
 
     def select(self, **wanted: object) -> list[RunRecord]:
-        """Return runs whose columns have the wanted values, or one of a tuple of values."""
+        """Return the runs whose columns equal the given values, or one of a tuple of values."""
         allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
             run for run in self.runs if all(getattr(run, name) in v for name, v in allowed.items())
@@ -100,26 +100,26 @@ class Records:
 
     @cached_property
     def solvers(self) -> list[str]:
-        """Ranked solvers in the order of the suite: all but the baseline law."""
+        """Names of the ranked solvers in the order of the suite, without the baseline law."""
         return list(dict.fromkeys(r.solver for r in self.all_runs if not r.is_baseline_law))
 
     @cached_property
     def scenarios(self) -> list[str]:
-        """Scenarios in the order of the suite."""
+        """Names of the scenarios in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
     def count_planned_steps(self, scenario: str) -> int:
-        """Return the steps of the longest requested closed loop of a scenario; 0 if none."""
+        """Return the number of steps of a scenario's longest planned closed loop; or 0."""
         loops = self.select(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
     def count_scenario_steps(self, scenario: str) -> int:
-        """Return the steps of the whole scenario; the requested ones where no row carries it."""
+        """Return the number of steps of a whole scenario, run or not."""
         carried = self.scenario(scenario)
         return self.count_planned_steps(scenario) if carried is None else carried.steps
 
     def select_full_loops(self, scenario: str) -> list[RunRecord]:
-        """Return full-length loops of a scenario, default settings, scaled; baseline law too."""
+        """Return a scenario's full-length closed loops, default settings, scaled units."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
@@ -130,48 +130,46 @@ class Records:
 
     @cached_property
     def sequences(self) -> list[str]:
-        """Replayed sequences in the order of the suite, without windows of hardest steps."""
+        """Names of the replayed QP sequences in the order of the suite."""
         replays = (run for run in self.select(mode="replay") if not run.window_of)
         return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
-        """Return the replays of a sequence in scaled units."""
+        """Return the replays of a QP sequence in scaled units, filtered by column values."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
     def is_ranked(self, run: RunRecord) -> bool:
-        """Return whether a run's times may be compared with those of others; a loop's are not."""
+        """Return whether a run's step times may be compared with those of other runs."""
         of_folder = str(self.machine.get("id", ""))
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Return the step times of a replay; None without a counting step, or if not ranked.
-
-        Those of all that are timed are read at once when the first is asked for.
-        """
+        """Return the step times of a replay; None without a step that counts or if unranked."""
         if not self.is_ranked(run):
             return None
         if not self._times:
             runs = (*self.calibration, *self.all_runs)
-            self._read_times([run for run in runs if run.mode == "replay" and not run.family])
+            self._cache_times([run for run in runs if run.mode == "replay" and not run.family])
         if run.run_id not in self._times:
-            self._read_times([run])
+            self._cache_times([run])
         return self._times[run.run_id]
 
-    def _read_times(self, runs: Sequence[RunRecord]) -> None:
+    def _cache_times(self, runs: Sequence[RunRecord]) -> None:
+        """Read the step times of given replays from file into the cache."""
         self._times |= dict.fromkeys(run.run_id for run in runs)
         for table in self.scan(runs, TIME_COLUMNS):
             self._times |= dict(times_by_run(table))
 
     def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
-        """Return the delays of runs by id, of those that left a counting row; read once."""
+        """Return the delayed timings of given runs, by run id."""
         unread = [run for run in runs if run.run_id not in self._delays]
         for table in self.scan(unread, DELAY_COLUMNS):
             self._delays |= dict(delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     @cached_property
-    def _carried(self) -> dict[str, ScenarioDocuments]:
-        """The first documents of each scenario that a run carries."""
+    def _documents_by_scenario(self) -> dict[str, ScenarioDocuments]:
+        """The first recorded scenario and vessel documents of each scenario."""
         return {
             run.scenario: files
             for run in reversed(self.runs)
@@ -179,15 +177,15 @@ class Records:
         }
 
     def scenario(self, name: str) -> Scenario | None:
-        """Return the scenario a run was made from; None when no row carries it."""
+        """Build the scenario of a name from recorded documents; None without them."""
         if name not in self._scenarios:
-            carried = self._carried.get(name)
+            carried = self._documents_by_scenario.get(name)
             self._scenarios[name] = None if carried is None else build_scenario(carried)
         return self._scenarios[name]
 
 
 def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Return the route each solver is judged on: qpsolvers, else its first one."""
+    """Return the route on which each solver is judged: qpsolvers, else its first one."""
     routes: dict[str, str] = {}
     for run in runs:
         if run.solver not in routes or run.route == "qpsolvers":
@@ -196,7 +194,7 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
 
 
 def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Select the runs in the common formulation of their problem, and the baseline law's.
+    """Select the runs in the common QP formulation, and those of the baseline law.
 
     Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """
@@ -211,4 +209,5 @@ def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _problem_columns(run: RunRecord) -> tuple[str, ...]:
+    """Return the columns that tell a run's problem: mode, scenario, sequence, units."""
     return run.mode, run.scenario, run.sequence, run.units

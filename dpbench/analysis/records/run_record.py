@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.record.cell import (
@@ -38,10 +38,8 @@ Mode = Literal["closed_loop", "replay"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """One run of one configuration; columns as in `bench/record/schema.py`.
+    """One run of a solver configuration on one problem: a typed row of `runs.parquet`.
 
-    Parameters
-    ----------
     files : the documents of its scenario; empty where the row carries none.
     first, fallback, backup : as in its cell; "" where that has none.
     x : of a study, the values of its keys at the run's point.
@@ -146,109 +144,109 @@ class RunRecord:
     own_switches_a_step: float = np.nan
 
     def without_times(self) -> RunRecord:
-        """Return the run as if nothing of it had been timed."""
+        """Return a copy of the run with all times set to NaN."""
         times = (one.name for one in fields(self) if one.name.endswith("_ns"))
         timed: dict[str, Any] = dict.fromkeys(times, np.nan)
         return replace(self, **timed)
 
     @property
     def configuration(self) -> Configuration:
-        """The configuration that ran."""
+        """Solver, route, policy, settings, units and formulation of the run."""
         return Configuration(
             self.solver, self.route, self.policy, self.settings, self.units, self.formulation
         )
 
     @property
     def has_topic(self) -> bool:
-        """True if it has a topic of its own and no verdict: no ship, or a study."""
+        """True if the run enters no verdict: a study, or a problem without a ship."""
         return bool(self.study) or not self.source.is_judged
 
     @property
     def family(self) -> str:
-        """The family of a random sequence; "" of every other run."""
+        """Family of a random QP sequence; "" of every other run."""
         return self.source.recipe.family if isinstance(self.source, RandomSource) else ""
 
     @property
     def lost_group(self) -> str:
-        """The failure group whose loss its QPs are about; "" of every other run."""
+        """Failure group whose loss a consequence analysis is about; "" of other runs."""
         return self.source.group if isinstance(self.source, ConsequenceSource) else ""
 
     @property
     def is_at_boundary(self) -> bool:
-        """True if its QPs are those at the capability boundary of a ship."""
+        """True if the QPs are those at the edge of a vessel's capability plot."""
         return isinstance(self.source, CapabilitySource)
 
     @property
-    def exported_by(self) -> str:
-        """Argument of `dpbench export`: a recorded file, a scenario, or its name."""
+    def export_argument(self) -> str:
+        """Argument by which `dpbench export` finds the run's QPs: file or name."""
         path = self.source.path if isinstance(self.source, RecordedSource) else ""
         return path or self.scenario or self.sequence
 
     @property
     def first_step(self) -> int:
-        """The step of its scenario that it begins with."""
+        """Index of the scenario step with which the run begins."""
         if self.window_of and not np.isnan(self.first_sample):
             return int(self.first_sample)
         return self.first
 
     @property
     def window_of(self) -> int:
-        """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
+        """Length of the stretch whose hardest steps are replayed; 0 of other runs."""
         return self.source.of if isinstance(self.source, HardestSource) else 0
 
     @property
     def problem(self) -> str:
-        """The sequence of a replay, the scenario of a closed loop."""
+        """Sequence name of a replay, scenario name of a closed loop."""
         return self.sequence or self.scenario
 
     @property
     def horizons(self) -> Horizons | None:
-        """N_p and N_c; None without a ship."""
+        """Prediction and control horizon (N_p, N_c); None for a QP without a ship."""
         return None if np.isnan(self.N_c) else (int(self.N_p), int(self.N_c))
 
     @property
     def sequence_without_horizons(self) -> str:
-        """`paper[0:300]` of the sequence `paper-60-10[0:300]`."""
+        """Sequence name without horizons: `paper[0:300]` of `paper-60-10[0:300]`."""
         name, bracket, window = self.sequence.partition("[")
         horizons = "" if self.horizons is None else "-{}-{}".format(*self.horizons)
         return name.removesuffix(horizons) + bracket + window
 
     @property
     def scenario_files(self) -> ScenarioDocuments | None:
-        """The documents of its scenario; None where the row carries none."""
+        """Scenario and vessel documents of the run; None where it has none."""
         return self.files if "scenario" in self.files else None
 
     @property
-    def steers_thrusters(self) -> bool:
-        """True if its controller commands thrusters; False where the row carries no scenario."""
+    def commands_thrusters(self) -> bool:
+        """True if the controller commands thrusters instead of three forces."""
         scenario = (self.scenario_files or {}).get("scenario")
         return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
 
     @property
     def is_baseline_law(self) -> bool:
-        """True if it is of the baseline law, which solves no QP and is never ranked."""
+        """True if the run is of the baseline control law, which solves no QP."""
         return self.formulation == "none"
 
     @property
     def has_steps(self) -> bool:
-        """True if the run left rows."""
+        """True if the run completed a step."""
         return self.steps_done > 0
 
     @property
     def cause(self) -> str:
-        """The cause of its outcome, in the library's or the harness's words; "" for none."""
+        """Message on the run's outcome from the solver library or harness; "" for none."""
         return self.outcome_detail.strip().rstrip(".")
 
     @property
     def remembers(self) -> bool:
-        """True if its times are those of remembered answers."""
+        """True if the times show that the solver returned cached answers."""
         return is_remembered(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 
     @property
     def name(self) -> str:
-        """Name of the solver, with what of the configuration is not the default."""
+        """Solver name with all that differs from the default configuration."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
         words += [] if self.settings == "default" else [self.settings]
@@ -258,24 +256,30 @@ class RunRecord:
         return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
+class _Table(BaseModel, strict=True, extra="allow"):
+    """Base of the JSON tables that are read here, other keys allowed."""
 
 
 class _Scenario(_Table):
+    """Scenario document, of which only the controller is checked."""
+
     controller: dict[str, Any]
 
 
 class _Files(_Table):
+    """Scenario documents in the JSON description of a run."""
+
     scenario: _Scenario | None = None
 
 
 class _Study(_Table):
+    """Study entry in the JSON description of a run: the values of the varied keys."""
+
     x: dict[str, Any] = {}
 
 
-class _Described(_Table):
-    """Parts of the description of a cell that are read here."""
+class _RunDescription(_Table):
+    """Parts of a run's JSON description (column `cell`) that are read."""
 
     scenario: _Files | None = None
     source: dict[str, Any] = {}
@@ -285,8 +289,8 @@ class _Described(_Table):
     backup: str = ""
 
 
-def records_of(runs: pd.DataFrame) -> list[RunRecord]:
-    """Return the records of a table of runs."""
+def build_records(runs: pd.DataFrame) -> list[RunRecord]:
+    """Convert a table of runs to typed records, one per row."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
@@ -297,15 +301,12 @@ def records_of(runs: pd.DataFrame) -> list[RunRecord]:
 
 
 def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a record that `cell` has.
-
-    The runs of a campaign have nearly equal ones: an equal part is kept once, in `shared`.
-    """
+    """Parse a run's JSON description into record fields; keep equal parts once, in `shared`."""
     if not cell.startswith("{"):
         return {}
     try:
         described = parse_json(cell)
-        read = _Described.model_validate(described)
+        read = _RunDescription.model_validate(described)
     except ValueError as error:
         raise _description_error("cell", error) from error
     files = described.get("scenario") or {}
@@ -325,7 +326,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
 
 
 def _description_error(key: str, error: ValueError) -> ResultsError:
-    """Return the error of a description that is no cell's."""
+    """Return the ResultsError for an invalid JSON description of a run."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None
@@ -334,7 +335,8 @@ def _description_error(key: str, error: ValueError) -> ResultsError:
     return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
-def _floats(column: pd.Series[Any]) -> list[float]:
+def _column_to_floats(column: pd.Series[Any]) -> list[float]:
+    """Convert a numeric column to a list of floats, null to NaN."""
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
 
@@ -342,8 +344,8 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "str": lambda column: [str(value) for value in column],
     "bool": lambda column: [bool(value) for value in column],
     "int64": lambda column: [int(value) for value in column],
-    "Int64": _floats,
-    "float64": _floats,
+    "Int64": _column_to_floats,
+    "float64": _column_to_floats,
 }
 """How a column of each type is read; a null of a nullable integer becomes NaN."""
 
@@ -352,7 +354,7 @@ Key = TypeVar("Key")
 
 
 def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Group items by key, keys and items in the order in which they come."""
+    """Group items by key, keys and items in order of appearance."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -360,7 +362,7 @@ def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, lis
 
 
 def first_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
-    """Return the first item of each key."""
+    """Return, by key, the first item that has it."""
     first: dict[Key, Item] = {}
     for item in items:
         first.setdefault(key(item), item)

@@ -21,10 +21,8 @@ from dpbench.bench.record.recorded_steps import run_slices
 
 @dataclass(frozen=True, eq=False)
 class CountingRows:
-    """(N,) arrays over the rows that count, ordered by run; a missing number is NaN.
+    """Arrays (N,) over the step rows that count, ordered by run; NaN where missing.
 
-    Parameters
-    ----------
     run_id, repeat, k : run, round and step.
     total_ns, iterations, error_move, n_active : as in the step table.
     known : whether the right answer is known; true : whether this one is, by the referee.
@@ -52,11 +50,11 @@ class CountingRows:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
-        """First row of each run, and the one after its last."""
+        """Row range of each run: its first row, and the one after its last."""
         return run_slices(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
-        """Return the rows of one run; none when it left none."""
+        """Return the step rows of one run; empty where it has none."""
         first, end = self.bounds.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
 
@@ -69,8 +67,8 @@ COUNTING_COLUMNS = (
 )
 
 
-def counting_of(steps: pd.DataFrame) -> CountingRows:
-    """Return the rows of a step table that count."""
+def counting_rows(steps: pd.DataFrame) -> CountingRows:
+    """Return as arrays the step rows that count: no warm-up, no disturbed round."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
         "known": decided_steps(steps)[counts],
@@ -100,10 +98,8 @@ _FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 
 @dataclass(frozen=True, eq=False)
 class RunSteps:
-    """One run by step, from the rows that count.
+    """Steps of one run merged over its rounds: times, errors, iterations, flags (K,).
 
-    Parameters
-    ----------
     k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
     error, iterations : (K,) the largest over them, NaN where there is none.
     n_active : (K,) active limits at the optimum.
@@ -129,18 +125,18 @@ class RunSteps:
     rounds: int
 
     def values(self, measure: Measure) -> Floats:
-        """Return (K,) the values of a measure."""
+        """Return the times [ns], iterations or errors of all steps (K,), by measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
     def at(self, places: Ints) -> RunSteps:
-        """Return some of the steps alone."""
+        """Return a copy with only the steps at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
 @dataclass(frozen=True)
 class HardStep:
-    """Hard step: least time [ns], most iterations or error, and its index in `RunSteps`."""
+    """One of a run's hardest steps: time [ns], iterations or error, and its index."""
 
     measure: Measure
     value: float
@@ -148,7 +144,7 @@ class HardStep:
 
 
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
-    """Yield every run that left a counting row, in the order of the table."""
+    """Yield the id and the steps merged over rounds of each run, in table order."""
     for run_id in counting.bounds:
         yield run_id, _merge_rounds(counting.of(run_id))
 
@@ -178,7 +174,7 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
 
 
 def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
-    """Return the hardest steps of a run, the hardest first, without those that have no figure."""
+    """Return a run's steps with the largest time, iterations or error, hardest first."""
     values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
@@ -190,7 +186,7 @@ def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[
 
 
 def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
-    """Return the least or largest known value of each step; NaN for none."""
+    """Return the minimum or maximum over the rounds of each step; NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)
     return out

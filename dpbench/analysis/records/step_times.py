@@ -17,10 +17,8 @@ TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 
 @dataclass(frozen=True, eq=False)
 class StepTimes:
-    """Step times of one replayed configuration, over the rounds that count.
+    """Step times of one replayed configuration: fastest round, largest timing.
 
-    Parameters
-    ----------
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
     raw_max_ns : the largest single timing.
     rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
@@ -34,30 +32,25 @@ class StepTimes:
 
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Yield the step times of every run of a table that left a counting row."""
+    """Yield the id and step times of each run in a table of steps."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
-        yield run_id, merge_rounds(repeat, k, total_ns)
+        best = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(best, k, total_ns)
+        done = np.flatnonzero(np.isfinite(best))
+        rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
+        yield run_id, StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
 
 
 def _counting_rows(
     steps: pd.DataFrame, *times: str
 ) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
-    """Yield run, round, step and some times [ns] of the rows (N,) of each run that count."""
+    """Yield id, rounds, steps and times [ns] of each run's rows that count."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
     for run_id, (first, end) in run_slices(counting["run_id"]).items():
         own = slice(first, end)
         yield run_id, repeat[own], k[own], [column[own] for column in columns]
-
-
-def merge_rounds(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
-    """Return the step times of the counting rows (N,) of one replay."""
-    best = np.full(int(k.max()) + 1, np.inf)
-    np.minimum.at(best, k, total_ns)
-    done = np.flatnonzero(np.isfinite(best))
-    rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
-    return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
 
 
 DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
@@ -70,7 +63,7 @@ core, for its timing to be late. Refilling a cache after a wait takes a hundredt
 
 @dataclass(frozen=True, eq=False)
 class Delays:
-    """Delays of one run, over the rounds that count.
+    """Timings of one run that took much longer than their step usually does.
 
     The base time of a timing is the fastest time of its step where the run has several rounds. A
     run of one round, such as a closed loop, has the median over its steps as the base of all, and
@@ -80,8 +73,6 @@ class Delays:
     step itself did next to nothing more than usual is neither late nor a stall: another program
     ran.
 
-    Parameters
-    ----------
     samples : (R,) timings of each round.
     base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
     step_ns : median over the timings.
@@ -102,35 +93,36 @@ class Delays:
 
     @cached_property
     def without_waits(self) -> Delays:
-        """The delays as if no wait were known."""
+        """Copy in which the waits for the processor core are unknown."""
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
-        """Count the delays beyond a limit in each round (R,)."""
+        """Count, by round (R,), the timings beyond a limit by the solver's own work."""
         by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
-        return self._count((self.delay_ns > limit_ns) & by_itself)
+        return self._count_by_round((self.delay_ns > limit_ns) & by_itself)
 
     def count_stalls(self, longer_than_ns: float) -> Ints:
-        """Count the delays that exceed their base time by more than half a limit, by round (R,)."""
+        """Count, by round (R,), the timings that exceed their base time by a given time."""
         if longer_than_ns not in self._stalls:
             excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
             of_limit = OWN_SHARE * 2.0 * longer_than_ns
             chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
-            self._stalls[longer_than_ns] = self._count(chosen)
+            self._stalls[longer_than_ns] = self._count_by_round(chosen)
         return self._stalls[longer_than_ns]
 
-    def _count(self, chosen: Flags) -> Ints:
+    def _count_by_round(self, chosen: Flags) -> Ints:
+        """Count the selected delays in each round (R,)."""
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
 
 
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
-    """Yield the delays of every run of a step table that left a counting row."""
+    """Yield the id and delayed timings of each run in a table of steps."""
     for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
         yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 
 
 def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
-    """Return the delays of the counting rows (N,) of one run, times and waits in ns.
+    """Find the timings (N,) of a run that took much longer than their step usually does.
 
     Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
     """

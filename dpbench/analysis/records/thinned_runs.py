@@ -19,7 +19,7 @@ FORCES = ("tau_x_N", "tau_y_N", "tau_n_Nm")
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Every `every`-th position (N, 3) [m, m, rad] and force (N, 3), a share of its limit."""
+    """Ship positions (N, 3) [m, m, rad] and force shares (N, 3) at every n-th step."""
 
     every: int
     position: Floats
@@ -27,7 +27,7 @@ class Track:
 
 
 class HardRow(NamedTuple):
-    """Row of a hard step; `value` is what makes it hard."""
+    """One of a run's hardest steps: index, deciding value, status and active limits."""
 
     k: int
     value: float
@@ -39,10 +39,8 @@ class HardRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ThinnedRun:
-    """Steps that are kept of a run, however many it has.
+    """Selection of a run's steps that the page has room for, the hardest included.
 
-    Parameters
-    ----------
     steps : those that are kept; extra : (K,) which of them for being hard alone.
     last : the last step of the run, kept or not; is_whole : whether all are kept.
     hard : the hardest of all by each measure, the hardest first.
@@ -58,7 +56,7 @@ class ThinnedRun:
 
     @classmethod
     def of(cls, run: RunSteps, most: int, track: Track | None = None) -> ThinnedRun:
-        """Keep a run; one of more than `most` steps is thinned, see `thinned_indices`."""
+        """Thin a run to about `most` steps: every n-th one and the hardest."""
         chosen, extra = thinned_indices(run, most)
         hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
         is_whole = len(chosen) == len(run.k)
@@ -66,6 +64,7 @@ class ThinnedRun:
 
 
 def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
+    """Return a run's hardest steps by one measure, hardest first."""
     rows = []
     for hard in find_hardest_steps(run, measure):
         i = hard.at
@@ -77,10 +76,8 @@ def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
-    """Return the track of a closed loop's rows, at most `most` points.
+    """Reduce the ship's positions and forces in a closed loop to `most` points.
 
-    Parameters
-    ----------
     limits : (3,) of the forces [N, N, N·m].
     """
     every = max(1, -(-len(steps) // most))
@@ -97,8 +94,8 @@ MOST = 2000
 """So many points of a run a figure draws: four and more a pixel."""
 
 
-def common_length(lengths: Sequence[int], most: int) -> int:
-    """Return the largest number at which as much of each length adds up to `most`, or less."""
+def common_length_limit(lengths: Sequence[int], most: int) -> int:
+    """Return the common upper limit of some lengths that makes their sum at most `most`."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):
         share = rest // (len(shortest_first) - i)
@@ -109,7 +106,7 @@ def common_length(lengths: Sequence[int], most: int) -> int:
 
 
 def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
-    """Return the indices of the kept steps, about `most`, rising; which are kept as hard.
+    """Return the indices of about `most` steps to keep, and which are kept as hard.
 
     Of a longer run every n-th stays, and of the rest the hardest by each measure.
     """
@@ -125,7 +122,7 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
 
 
 def extreme_indices(values: Floats, most: int = MOST) -> Ints:
-    """Return (M,) indices of the values to draw, rising: all, or each part's least and largest.
+    """Return indices (M,) of values to draw, with the extremes of each part.
 
     No more than `most`, of which a line of a few hundred pixels shows no difference.
     """

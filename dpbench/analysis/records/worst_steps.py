@@ -16,8 +16,6 @@ from dpbench.bench.record.configuration import Configuration
 class WorstStep:
     """Hardest step of a solver by one measure over all its runs.
 
-    Parameters
-    ----------
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
 
@@ -29,25 +27,25 @@ class WorstStep:
 
     @property
     def k(self) -> int:
-        """The step of the run."""
+        """Index of the step in its run."""
         return int(self.step.k[0])
 
     @property
-    def export(self) -> str:
-        """The command that writes this step alone, with its certified optimum."""
+    def export_command(self) -> str:
+        """Shell command that exports the step's QP with its certified optimum."""
         run = self.run
         k = self.k + run.first_step
-        return f"dpbench export {run.exported_by} --at {k} --out worst-{self.measure}.npz"
+        return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """Return the hardest step of a solver by error, time and iterations, each once.
+    """Return a solver's hardest step over all runs by error, time and iterations.
 
     It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
     """
     runs = {run.run_id: run for run in records.runs if run.solver == solver}
     worst_of_run = {
-        run_id: _worst_of(runs[run_id], steps)
+        run_id: _worst_by_measure(runs[run_id], steps)
         for run_id, steps, _ in records.run_steps(list(runs.values()))
     }
     stepped = [run_id for run_id in runs if run_id in worst_of_run]
@@ -61,8 +59,8 @@ def worst_steps(records: Records, solver: str) -> list[WorstStep]:
     return worst
 
 
-def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
-    """Return the hardest step of a run by each measure that it has."""
+def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
+    """Return the hardest step of one run by error, time and iterations."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
         for hard in find_hardest_steps(steps, measure, 1):
@@ -72,7 +70,7 @@ def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
 
 
 def find_step_value(records: Records, worst: WorstStep, configuration: Configuration) -> float:
-    """Return the figure of another configuration at that step; NaN where it has none."""
+    """Return another configuration's time, iterations or error at a worst step, or NaN."""
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place

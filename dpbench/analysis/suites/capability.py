@@ -14,10 +14,8 @@ from dpbench.bench.record.cell import CapabilitySource
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers of a solver to a batch of static allocations.
+    """Counts of a solver's right and wrong answers to static thrust allocation QPs.
 
-    Parameters
-    ----------
     asked : QPs of the batch; feasible, infeasible : how many of each it reached.
     balanced : claimed optima that are true; refused : infeasible ones rightly called so.
     wrong : untrue claims of either kind.
@@ -36,33 +34,31 @@ class Answers:
     max_ns: float
 
     @property
-    def silent(self) -> int:
-        """QPs without a claim or a true answer, and those it never reached."""
+    def unanswered(self) -> int:
+        """Number of QPs without an answer, those never reached included."""
         return self.asked - self.right - self.wrong
 
     @property
-    def all_right(self) -> bool:
-        """True if every answer is right."""
+    def is_all_right(self) -> bool:
+        """True if every QP was answered correctly."""
         return self.right == self.asked
 
     @property
     def right(self) -> int:
-        """Right answers of either kind."""
+        """Number of correct answers: true optima and true claims of infeasibility."""
         return self.balanced + self.refused
 
 
-def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """Return the answers of each run, most right ones first, then the fastest."""
-    answers = [_count_answers(records, run) for run in runs if run.outcome != "refused"]
+def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
+    """Count the right and wrong answers of each run, the best run first."""
+    answers = [_count_run_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
-class Plot:
-    """Capability plot, and the answers at its edge.
+class CapabilityResult:
+    """Capability plot of a vessel, and the solvers' answers to the QPs at its edge.
 
-    Parameters
-    ----------
     sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
     answers : the best configuration of each solver; empty where none was run.
@@ -75,7 +71,7 @@ class Plot:
 
     @property
     def qps(self) -> int:
-        """QPs at the edge that were asked of each solver."""
+        """Number of QPs at the edge of the plot that each solver was given."""
         return max((answers.asked for answers in self.answers), default=0)
 
 
@@ -84,11 +80,9 @@ EDGES = ("case", "lost", "from_deg", "wind_mps", "number", "untrue")
 wind held, the DP capability number, and how many solvers made an untrue claim of a QP there."""
 
 
-def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
-    """Return the plots of a result folder, in the order of its suite.
+def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
+    """Return the capability plots of a result folder, in the order of its suite.
 
-    Parameters
-    ----------
     table : of `load_capability`; None where the folder has none.
     """
     at_edge = [run for run in records.at_edge if run.has_steps]
@@ -97,7 +91,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
-        answers = first_by(answers_of(records, runs), lambda of_solver: of_solver.solver)
+        answers = first_by(count_answers(records, runs), lambda of_solver: of_solver.solver)
         own = known.get(name)
         if own is not None:
             vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
@@ -105,13 +99,19 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
             source = runs[0].source
             assert isinstance(source, CapabilitySource), "runs at the boundary"
             vessel, sides = source.vessel_name, source.sides
-        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edge_rows(records, own, runs)
-        plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
+        edges = (
+            pd.DataFrame(columns=list(EDGES))
+            if own is None
+            else _wind_by_direction(records, own, runs)
+        )
+        plots.append(CapabilityResult(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
-    """Return the columns `EDGES` of the rows of one plot in `capability.parquet`."""
+def _wind_by_direction(
+    records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
+) -> pd.DataFrame:
+    """Tabulate the largest wind held [m/s] by failure case and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
@@ -127,7 +127,8 @@ def _edge_rows(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
     return pd.DataFrame(rows, columns=list(EDGES))
 
 
-def _count_answers(records: Records, run: RunRecord) -> Answers:
+def _count_run_answers(records: Records, run: RunRecord) -> Answers:
+    """Count one run's right and wrong answers to static thrust allocation QPs."""
     steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())

@@ -29,10 +29,8 @@ SPAN = ("group", "from_s", "to_s", "state")
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """Answers of one configuration to all QPs of a consequence analysis.
+    """Counts of a configuration's right and wrong answers in a consequence analysis.
 
-    Parameters
-    ----------
     asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
     missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
@@ -53,22 +51,20 @@ class BatchAnswers:
     largest: float
 
     @property
-    def silent(self) -> int:
-        """QPs without a claim or a true answer, and those it never reached."""
+    def unanswered(self) -> int:
+        """Number of QPs without an answer, those never reached included."""
         return self.asked - self.held - self.refused - self.untrue
 
     @property
-    def all_right(self) -> bool:
-        """True if every answer is right."""
+    def is_all_right(self) -> bool:
+        """True if every QP was answered correctly."""
         return self.held + self.refused == self.asked
 
 
 @dataclass(frozen=True, eq=False)
-class Analysis:
-    """Consequence analysis of one run's failure `groups`.
+class ConsequenceAnalysis:
+    """Consequence analysis: when losses can be held, and what solvers answered.
 
-    Parameters
-    ----------
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
     """
@@ -80,12 +76,12 @@ class Analysis:
 
     @property
     def best(self) -> dict[str, BatchAnswers]:
-        """Best configuration of each solver, by its name."""
+        """Answers of the best configuration of each solver, by solver name."""
         return first_by(self.answers, lambda answers: answers.solver)
 
 
-def consequence_analyses(records: Records) -> list[Analysis]:
-    """Return the analyses that have a step, in the order of the suite."""
+def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
+    """Return the consequence analyses of a result folder that have a step."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
     batches = group_by(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
@@ -95,22 +91,26 @@ def consequence_analyses(records: Records) -> list[Analysis]:
     ]
 
 
-def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
+def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
+    """Build a consequence analysis from the runs of all its failure groups."""
     groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
     sample_s = math.nan if files is None else cached_scenario(files).sample_s
     by_configuration = group_by(runs, lambda run: run.name)
     answers = [
-        _batch_answers(records, own, len(groups), sample_s) for own in by_configuration.values()
+        _count_batch_answers(records, own, len(groups), sample_s)
+        for own in by_configuration.values()
     ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
-    spans = pd.concat([_state_spans(records, run, sample_s) for run in longest if run.has_steps])
-    return Analysis(name, tuple(groups), spans, tuple(answers))
+    spans = pd.concat(
+        [_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
+    )
+    return ConsequenceAnalysis(name, tuple(groups), spans, tuple(answers))
 
 
-def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Return the columns `SPAN` of one group, neighbours of one state joined."""
+def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+    """Return the time spans in which the loss of one group can or cannot be held."""
     rows = records.counting_steps(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
@@ -122,13 +122,13 @@ def _state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFr
     return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _batch_answers(
+def _count_batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """Return the answers of one configuration, a run for each group."""
+    """Count one configuration's answers over all failure groups, with batch times."""
     of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
-    batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
+    batch_ns = _batch_times_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
     return BatchAnswers(
         solver=runs[0].solver,
@@ -141,7 +141,7 @@ def _batch_answers(
 
 
 def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
-    """Count feasible, infeasible, held, refused, missed and untrue of one run."""
+    """Count one run's right, refused, missed and untrue answers."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
     always = {
@@ -157,8 +157,8 @@ def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
     return counts
 
 
-def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Return the time of the batch at each sample (K,) [ns]; empty where a group has a gap."""
+def _batch_times_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
+    """Return the time to solve all groups' QPs at each sample (K,) [ns]; else empty."""
     times = [records.times(run) for run in runs]
     timed = [known.algo_ns for known in times if known is not None]
     steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
@@ -168,14 +168,14 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
     return total
 
 
-def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
-    """Return the answers of each configuration that was run in every analysis, by its name."""
+def answers_in_all(analyses: Sequence[ConsequenceAnalysis]) -> dict[str, list[BatchAnswers]]:
+    """Return, by name, the answers of configurations run in every analysis."""
     answers = [own for analysis in analyses for own in analysis.answers]
     by_name = group_by(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
 def largest_share(answers: Sequence[BatchAnswers]) -> float:
-    """Return the largest share of a sample of some analyses; NaN where one is not known."""
+    """Return the largest share of a sample that solving takes in any analysis, or NaN."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

@@ -5,7 +5,6 @@ predictive control design for dynamic positioning of a supply ship".
 """
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -30,8 +29,8 @@ CIRCLE_M = 1.0
 
 
 @dataclass(frozen=True)
-class Pair:
-    """The constrained loop that follows the exact one most closely, and the baseline law.
+class LawPair:
+    """Runs of the paper's constrained control law and of its clipped baseline law.
 
     whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
     """
@@ -41,30 +40,26 @@ class Pair:
     whole: int = 0
 
 
-def find_laws(view: Records, scenario: str) -> Pair:
-    """Return the two laws of a scenario, each from a complete one of its longest loops."""
+def find_laws(view: Records, scenario: str) -> LawPair:
+    """Find the complete runs of the constrained and the clipped law in a scenario."""
     loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation_key, default=None)
+    off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
+    best = min(solved, key=lambda row: (off_m[row], row.solver), default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
-    return Pair(best, clipped, view.count_scenario_steps(scenario))
-
-
-def find_paper_laws(view: Records, name: str) -> Pair:
-    """Return the two laws where the scenario is the paper's own of that name; else none."""
-    return find_laws(view, name) if is_of_paper(view, name) else Pair(None, None)
+    return LawPair(best, clipped, view.count_scenario_steps(scenario))
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Run of one control law."""
+    """Closed loop under one control law: its label and its steps."""
 
     label: str
     steps: pd.DataFrame
 
 
 def find_paper_runs(view: Records) -> list[Law]:
-    """Return the constrained law of the paper's own scenario, and the clipped one if it was run."""
+    """Return the steps of the constrained and the clipped law in the paper's scenario."""
     pair = find_laws(view, PAPER)
     if pair.constrained is None:
         return []
@@ -82,13 +77,11 @@ def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
-def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
-    """Return the data of a figure: law, t_s, and its columns with their units.
+def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+    """Return a control law's data for one of the paper's figures.
 
     Forces and increments have each axis, then its limits.
 
-    Parameters
-    ----------
     figure : path, errors, forces or increments.
     """
     steps = law.steps
@@ -109,24 +102,20 @@ def figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _deviation_key(row: RunRecord) -> tuple[float, str]:
-    value = row.dev_position_max_m
-    return (math.inf if math.isnan(value) else value, row.solver)
-
-
-def is_of_paper(view: Records, name: str) -> bool:
-    """Return whether a scenario of the rows is the paper's own of that name."""
+def is_paper_scenario(view: Records, name: str) -> bool:
+    """Return whether a recorded scenario equals the packaged one of the paper."""
     scenario = view.scenario(name) if name in OF_PAPER else None
     return scenario is not None and _document_content(scenario) == _packaged_content(name)
 
 
 @cache
 def _packaged_content(name: str) -> str:
+    """Return the packaged scenario of a name as JSON, without prose."""
     return _document_content(load_scenario(name))
 
 
 def _document_content(scenario: Scenario) -> str:
-    """Return the documents of a scenario without the prose, which may be reworded."""
+    """Return a scenario's documents as JSON, without prose, which may be reworded."""
     files = scenario.files
     documents = {
         key: {name: value for name, value in files[key].items() if name not in PROSE}
@@ -144,11 +133,9 @@ SAME = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
-    """Evidence on a claim.
+class ClaimFinding:
+    """Evidence on one claim of the paper: criterion, state and values.
 
-    Parameters
-    ----------
     by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
     values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
     """
@@ -174,26 +161,27 @@ SMALLER = {
 """Figures that the constrained law has smaller, by more than which share of the larger."""
 
 
-def assess_claim(records: Records, scenario: str, by: str) -> Finding:
-    """Assess a claim in the paper's scenario of that name, where its laws ran to the end."""
-    pair = find_paper_laws(records, scenario)
+def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
+    """Judge a claim of the paper by the runs of its control laws."""
+    is_own = is_paper_scenario(records, scenario)
+    pair = find_laws(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
-        return Finding("no loop" if laws == 1 else "one law", "not measured", {})
+        return ClaimFinding("no loop" if laws == 1 else "one law", "not measured", {})
     done = min(run.steps_done for run in runs)
     if done < pair.whole:
-        return Finding("short", "not measured", {"done": done, "whole": pair.whole})
+        return ClaimFinding("short", "not measured", {"done": done, "whole": pair.whole})
     values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
     if by == "circle":
         values["entered_s"] = find_circle_entry_s(records, runs[0])
     if by == "steady":
         values["alike"] = _is_equal_at_rest(records, *runs)
-    return Finding(by, _claim_state(by, *runs), values)
+    return ClaimFinding(by, _claim_state(by, *runs), values)
 
 
 def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
-    """Return the state of a claim; "opposite" where the clipped law has the smaller figure."""
+    """Return whether runs reproduce a claim of the paper, or show the opposite."""
     if law is None:
         return "reproduced" if HOLDS[by](run) else "not reproduced"
     column, margin = SMALLER[by]
@@ -204,7 +192,7 @@ def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State
 
 
 def find_circle_entry_s(records: Records, run: RunRecord) -> float:
-    """Return the time from which a run stays within the circle [s]; inf if it ends outside."""
+    """Return the time [s] from which the ship stays within 1 m; inf if it never does."""
     scenario, steps = records.scenario(run.scenario), records.steps(run)
     assert scenario is not None, "a run of the paper's own scenario"
     outside = np.flatnonzero(pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
@@ -215,7 +203,7 @@ def find_circle_entry_s(records: Records, run: RunRecord) -> float:
 
 
 def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
-    """Return whether the steady errors are equal as no limit is active then."""
+    """Return whether both laws' steady errors are equal, as no limit is active."""
     two = run.r_tail_max_m, law.r_tail_max_m
     active = records.steps(run)["n_active"].to_numpy()
     return abs(two[0] - two[1]) <= SAME * max(two) and not active[len(active) // 2 :].any()

@@ -25,10 +25,8 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of the steps of some cells.
+    """Counts of true and false claims that solvers made on QP steps.
 
-    Parameters
-    ----------
     steps : certified steps that were reached; missed : asked for and never reached.
     right_claims, false_claims : claimed, and true or not; not_claimed : true and not claimed.
     right_refusals, wrong_refusals : called infeasible or unbounded, rightly and wrongly.
@@ -46,12 +44,12 @@ class Tally:
 
     @property
     def wrong(self) -> int:
-        """Untrue claims of either kind."""
+        """Number of untrue claims, of an optimum or of infeasibility."""
         return self.false_claims + self.wrong_refusals
 
 
 class RandomClaims:
-    """Classified steps of all random sequences.
+    """True and false claims of solvers on all random QP sequences.
 
     `runs` are those that were not refused, each once: settings without effect, one run shown under
     several names, are one run with all of them in `settings`.
@@ -69,8 +67,8 @@ class RandomClaims:
         counts = counts.reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
-    def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Return tallies by the values of some columns of the runs."""
+    def tally_by(self, *names: str) -> dict[tuple[str, ...], Tally]:
+        """Sum the claim counts of runs by the values of given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
@@ -78,17 +76,18 @@ class RandomClaims:
 
 
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Merge the runs that are equal under several settings names."""
     kept: list[RunRecord] = []
     for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by(own, lambda run: run.settings)
-        for alike in group_by(by_level.items(), lambda level: _run_key(level[1])).values():
+        for alike in group_by(by_level.items(), lambda level: _measurement_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _run_key(runs: Sequence[RunRecord]) -> str:
-    """Return a key of a run: times never repeat to the nanosecond."""
+def _measurement_key(runs: Sequence[RunRecord]) -> str:
+    """Return a key of a configuration's runs, equal only for the same measurements."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
@@ -96,12 +95,12 @@ CLAIMS = ("status", "certificate", "claimed", "true")
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """Count the steps of each run by `classify_steps`, by run_id."""
+    """Count the true and false claims of each run, by run id."""
     return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 
 def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
-    """Classify each step: one Boolean column per count of `Tally`, except `missed`."""
+    """Classify the claim at each step as right or wrong: a Boolean column per kind."""
     known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(

@@ -13,21 +13,21 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True, eq=False)
 class DelayedConfiguration:
-    """Configuration on slower and slower computers: `loops` by slow-down, rising."""
+    """Closed loops of a configuration on simulated slower computers, by slow-down."""
 
     configuration: Configuration
     loops: dict[float, RunRecord]
 
     @property
-    def survives(self) -> float:
-        """Largest slow-down up to which every loop that was run survives; NaN for none."""
+    def survived_slowdown(self) -> float:
+        """Largest slow-down up to which every closed loop survives; NaN for none."""
         survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class DelayedGroup:
-    """All configurations of one scenario, with the same length and budget of a step."""
+    """Closed loops of all configurations on slow computers in one scenario."""
 
     scenario: str
     steps: int
@@ -36,12 +36,13 @@ class DelayedGroup:
 
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
-    """Group the loops on slow computers by scenario; configurations that survive most first."""
+    """Group the closed loops on simulated slow computers by scenario."""
     groups = group_by(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
-    return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
+    return [DelayedGroup(*key, _group_by_configuration(runs)) for key, runs in groups.items()]
 
 
-def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
+def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
+    """Group slow-computer loops by configuration, those that survive most first."""
     rising = sorted(runs, key=lambda run: run.slowdown)
     delayed = [
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
@@ -51,8 +52,8 @@ def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ..
 
 
 def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Sort key: the most survived first, then the least cost of the last loop."""
+    """Return a sort key: largest survived slow-down first, then the least cost."""
     last = list(configuration.loops.values())[-1]
-    values = -configuration.survives, cost_ratio(last)
+    values = -configuration.survived_slowdown, cost_ratio(last)
     survives, cost = (math.inf if math.isnan(value) else value for value in values)
     return survives, cost, last.name

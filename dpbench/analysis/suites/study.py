@@ -55,8 +55,6 @@ EXACT_FIRST = ("paper_active_set", "daqp")
 class PairedDifference:
     """Difference of a figure between two configurations in the same realisations.
 
-    Parameters
-    ----------
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
@@ -71,11 +69,11 @@ class PairedDifference:
 
     @property
     def mean(self) -> Interval:
-        """Mean with its 95 % interval; infinitely wide where none is supported."""
+        """Mean difference with its 95 % interval; infinitely wide if unsupported."""
         return self.estimate.interval
 
     def replicates_for(self, difference: float) -> int | None:
-        """Return the replicates of each point that show such a difference; None if unknown."""
+        """Return the realisations per point that make a difference significant, or None."""
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -87,10 +85,8 @@ class PairedDifference:
 
 
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
-    """Return the difference one − other over the realisations that both have.
+    """Return the mean difference one − other over realisations that both finished.
 
-    Parameters
-    ----------
     one, other : values indexed by (point, replicate).
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
@@ -110,10 +106,8 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
 
 
 def mean_over_points(values: Floats) -> MeanEstimate:
-    """Return the mean over points of the means over realisations; see the module.
+    """Estimate the mean over points of the means over realisations, with its error.
 
-    Parameters
-    ----------
     values : (points, realisations), NaN where a run is lost; each point has one at least.
     """
     known = np.isfinite(values)
@@ -144,10 +138,8 @@ def mean_over_points(values: Floats) -> MeanEstimate:
 
 @dataclass(frozen=True, eq=False)
 class StudiedConfiguration:
-    """One configuration in a study.
+    """Results of a configuration in a study: share held, cost, excess error.
 
-    Parameters
-    ----------
     runs, finished : how many it was given, and how many came to their end.
     held : share of runs whose radial error stays within the radius in their second half; a run
         that did not end is not held.
@@ -176,33 +168,30 @@ class StudiedConfiguration:
 
     @property
     def differs(self) -> bool:
-        """True if its radial error differs significantly from that of the reference."""
+        """True if the radial error differs significantly from the reference's."""
         return self.p_differs <= ALPHA
 
     @property
     def has_larger_error(self) -> bool:
-        """True if its radial error is significantly larger than that of the reference."""
-        return (
-            self.error_excess_m is not None
-            and self.differs
-            and self.error_excess_m.estimate.value > 0.0
-        )
+        """True if the radial error is significantly larger than the reference's."""
+        excess = self.error_excess_m
+        return excess is not None and self.differs and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
-        """Tolerance of its settings, see `_tolerance`."""
-        return _tolerance(self.solver, self.settings)
+        """Solver tolerance of the settings; None if a library's own or none to set."""
+        return _find_tolerance(self.solver, self.settings)
 
     @property
     def is_cheap(self) -> bool:
-        """True if it costs significantly less than 1 cm and less than 1 % of the cost."""
+        """True if it costs significantly less than 1 cm and 1 % over the reference."""
         if self.finished < self.runs:
             return False
         return self.error_excess_m is None or self.p_cheap <= ALPHA
 
     @property
     def p_unadjusted(self) -> tuple[float, float]:
-        """`p_differs` and `p_cheap` of this configuration alone."""
+        """P-values for this configuration alone that it differs, and that it is cheap."""
         if self.error_excess_m is None or self.log_cost_excess is None:
             return 1.0, 1.0
         cheap = self.log_cost_excess.estimate.p_below(math.log1p(SMALL_COST))
@@ -213,7 +202,7 @@ class StudiedConfiguration:
 
 
 class Study:
-    """Runs of one study; a run is held within `radius_m`."""
+    """All runs of one study: configurations over points and sea realisations."""
 
     def __init__(self, name: str, runs: Sequence[RunRecord], radius_m: float) -> None:
         self.name, self.radius_m = name, radius_m
@@ -244,7 +233,7 @@ class Study:
 
     @property
     def replicates(self) -> int:
-        """Number of seas that each point was run in."""
+        """Number of sea realisations in which each point was run."""
         return int(self.runs["replicate"].nunique())
 
     @property
@@ -254,7 +243,7 @@ class Study:
 
     @cached_property
     def reference(self) -> str:
-        """Configuration that the others are compared with.
+        """Name of the most exact configuration, with which the others are compared.
 
         Of those that finished most runs the most exact by its settings. No error or cost decides:
         those are compared.
@@ -265,13 +254,15 @@ class Study:
         most = finished[finished == finished.max()].index
         candidates = pool[pool["configuration"].isin(most)].drop_duplicates("configuration")
         ranked = candidates[["solver", "settings", "configuration"]].itertuples(index=False)
-        return min((*_exactness(row[0], row[1]), str(row[2])) for row in ranked)[-1]
+        return min((*_exactness_key(row[0], row[1]), str(row[2])) for row in ranked)[-1]
 
     @cached_property
     def configurations(self) -> list[StudiedConfiguration]:
-        """Every configuration, the reference first, then the nearest to the exact loop."""
-        known = [self._of(str(name)) for name in self.runs["configuration"].unique()]
-        known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
+        """Results of every configuration, the reference first, then by excess cost."""
+        known = [
+            self._summarise_configuration(str(name)) for name in self.runs["configuration"].unique()
+        ]
+        known.sort(key=lambda c: (c.name != self.reference, np.nan_to_num(abs(c.cost), nan=np.inf)))
         reference, *others = known
         adjusted = [
             adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
@@ -287,12 +278,13 @@ class Study:
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
     def difference(self, configuration: str, column: str) -> PairedDifference:
-        """Return a column of a configuration less that of the reference, in the same seas."""
+        """Return a column's mean difference from the reference in the same realisations."""
         return paired_difference(
             self.values(configuration, column), self.values(self.reference, column)
         )
 
-    def _of(self, name: str) -> StudiedConfiguration:
+    def _summarise_configuration(self, name: str) -> StudiedConfiguration:
+        """Summarise the runs of one configuration, compared with the reference."""
         runs = self.runs[self.runs["configuration"] == name]
         itself = name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]
@@ -311,7 +303,7 @@ class Study:
 
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
-        """Loosest cheap tolerance of each solver that was run at several; None where none is."""
+        """Loosest cheap tolerance of each solver run at several; None where none is."""
         stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
         for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
@@ -320,7 +312,7 @@ class Study:
         return loosest
 
     def held_map(self, configuration: str) -> pd.DataFrame:
-        """Return the keys' values, `runs` and the share of seas `held` at each point."""
+        """Tabulate the runs and the share held at each point for one configuration."""
         runs = self.runs[self.runs["configuration"] == configuration]
         held = runs.groupby("point")["held"].agg(runs="count", held="mean")
         return self.points.join(held, how="inner")
@@ -336,25 +328,21 @@ def find_studies(records: Records) -> list[Study]:
     return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
-def _tolerance(solver: str, settings: str) -> float | None:
-    """Return the tolerance of settings; None of a library's own choice or without one to set."""
+def _find_tolerance(solver: str, settings: str) -> float | None:
+    """Return the tolerance of a solver's settings; None for a library's own or none."""
     if find_solver_record(solver) is None or not has_tolerance_levels(solver):
         return None
     return TOLERANCES.get(settings) or parse_tolerance(settings)
 
 
-def _exactness(solver: str, settings: str) -> tuple[int, float]:
-    """Sort key, the most exact first.
+def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
+    """Return a sort key of a solver's settings, the most exact first.
 
     `EXACT_FIRST`, solvers without a tolerance, the tightest tolerance, then unknown ones.
     """
-    tolerance = _tolerance(solver, settings)
+    tolerance = _find_tolerance(solver, settings)
     if solver in EXACT_FIRST:
         return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)
     if find_solver_record(solver) is not None and not has_tolerance_levels(solver):
         return 1, 0.0
     return (3, 0.0) if tolerance is None else (2, tolerance)
-
-
-def _nan_last(value: float) -> float:
-    return np.inf if math.isnan(value) else value

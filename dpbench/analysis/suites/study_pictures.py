@@ -18,12 +18,12 @@ MOST_DOTS = 1500
 
 
 def has_point_per_tile(study: Study) -> bool:
-    """Return whether every point has a place of its own on a map."""
+    """Return whether a study has few enough points to map each one alone."""
     return len(study.points) <= MOST_POINTS
 
 
 def held_maps(study: Study) -> pd.DataFrame:
-    """Return the maps of the reference and of those that hold least.
+    """Tabulate the share of seas held over two keys, for the reference and the worst.
 
     Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
     """
@@ -36,7 +36,7 @@ def held_maps(study: Study) -> pd.DataFrame:
         table = study.held_map(configuration.name).rename(columns=columns)
         part = table[[*names, "held", "runs"]]
         if not has_point_per_tile(study):
-            part = part.assign(**{name: _field_centres(part[name]) for name in names})
+            part = part.assign(**{name: _bin_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
@@ -45,8 +45,8 @@ def held_maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _field_centres(values: pd.Series[float]) -> pd.Series[float]:
-    """Return the middle of the field of each value."""
+def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
+    """Return, for each value, the centre of its bin among equal bins."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
     number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
@@ -54,17 +54,14 @@ def _field_centres(values: pd.Series[float]) -> pd.Series[float]:
 
 
 def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
-    """Return a mean with the ends of its interval [cm], None where it has none; and its pairs."""
+    """Return a mean difference [cm], its interval ends (None without) and its pairs."""
     mean = difference.mean
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
 def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """Return the means of `mean_cm`, some seas [cm], and the number of seas.
-
-    They are excess errors of configurations over the reference.
-    """
+    """Return each configuration's mean excess error, its values by sea [cm], their count."""
     reference = study.values(study.reference, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0
@@ -81,7 +78,7 @@ def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
 
 
 def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """Return each run's excess error over the reference in the same sea [cm]; NaN without one."""
+    """Return each run's excess error over the reference in the same sea [cm], or NaN."""
     reference = study.values(study.reference, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
     other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
@@ -89,7 +86,7 @@ def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
 
 
 def worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Return the id of the worst of some runs; None of none.
+    """Return the id of the run with the largest error, of the worst configuration.
 
     It is of the configuration that holds fewest seas, or else of that farthest from the exactly
     solved loop: in a sea that it does not hold, or else in the one of its largest error.

@@ -7,7 +7,7 @@ workspace, the third that of a warm start.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from dpbench.analysis.statistics import (
     Interval,
     paired_ratio,
     pooled_mean,
-    select_long,
+    select_long_sequences,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -32,7 +32,7 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Times of two configurations on the same steps, as a ratio second/first.
+    """Step time ratio second/first of two configurations on the same steps.
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     """
@@ -45,17 +45,17 @@ class PairedComparison:
 
     @property
     def tied(self) -> bool:
-        """True if the two cannot be told apart."""
+        """True if the ratio's interval contains 1, so that neither is faster."""
         return self.ratio.spans(1.0)
 
     @property
     def unstable(self) -> bool:
-        """True if another yardstick names another leader."""
+        """True if the yardstick, p99 or median, decides which of the two is faster."""
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
     @property
     def row(self) -> dict[str, Any]:
-        """Names, ratio with its interval, and its assessment, for a table."""
+        """Table row: both names, ratio with interval, and whether it is tied or unstable."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
         return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
@@ -69,27 +69,19 @@ def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
-def pooled_ratio(replays: Iterable[tuple[StepTimes, StepTimes]]) -> Interval:
-    """Return the ratio second/first on the steps that both of each pair have done.
-
-    Each pair has equal weight; unknown where there are none.
-    """
-    common = (match_steps(first, second) for first, second in replays)
-    return pooled_mean([np.log(second / first) for first, second in common if len(first)])
-
-
 def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
-    """Return half the width of the log ratio's interval of two configurations; NaN without one.
+    """Return half the interval width of two configurations' log time ratio, or NaN.
 
-    Both by the number of the replay.
+    first, second : step times by the index of the replay.
     """
-    ratio = pooled_ratio((first[place], second[place]) for place in first if place in second)
+    common = (match_steps(first[p], second[p]) for p in first if p in second)
+    ratio = pooled_mean([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
-    """Compare two configurations on the steps of the sequences that are `select_long`.
+    """Compare two configurations' times on the sequences that both replayed.
 
     Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
     there is none.
@@ -98,7 +90,7 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in records.sequences:
-        times = [_find_times(records, sequence, verdict) for verdict in (first, second)]
+        times = [_find_step_times(records, sequence, verdict) for verdict in (first, second)]
         if times[0] is None or times[1] is None:
             continue
         first_ns, second_ns = match_steps(times[0], times[1])
@@ -109,14 +101,14 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     if not logs:
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    steps = sum(map(len, select_long(logs)))
+    steps = sum(map(len, select_long_sequences(logs)))
     return PairedComparison(*names, pooled_mean(logs), steps, leaders)
 
 
 def find_faster_inconclusive(
     records: Records, verdicts: Verdicts, chosen: Verdict
 ) -> list[Verdict]:
-    """Return the fastest inconclusive configuration of each solver, the fastest first.
+    """Find inconclusive configurations that are surely faster than the chosen one.
 
     Only those surely faster than `chosen`, without anything against the requirements.
     """
@@ -127,7 +119,8 @@ def find_faster_inconclusive(
     return list(first_by(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
-def _find_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+def _find_step_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+    """Return the step times of a configuration on a sequence; None without a replay."""
     for run in records.replays(sequence):
         if run.configuration.in_common_formulation == verdict.configuration:
             return records.times(run)
@@ -154,10 +147,8 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 
 @dataclass(frozen=True)
 class RouteGain:
-    """Route of a solver at one settings level, against its neighbour `above`.
+    """Speed-up of one call mode of a solver over its neighbouring call mode.
 
-    Parameters
-    ----------
     gain : geometric mean of the neighbour's time over this one's, over their common steps.
     median_ns : median of its algorithmic step time.
     """
@@ -170,8 +161,8 @@ class RouteGain:
     median_ns: float
 
 
-def route_gains(records: Records, sequence: str) -> list[RouteGain]:
-    """Compare the routes of solvers that were also run natively, the fastest solver first.
+def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
+    """Compare the call modes of solvers also called natively, the fastest first.
 
     None where no native route has a neighbour.
     """
@@ -193,7 +184,7 @@ def route_gains(records: Records, sequence: str) -> list[RouteGain]:
 def _gains_by_route(
     times: Mapping[RoutePolicy, StepTimes],
 ) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
-    """Yield neighbour, route, gain and median of each route with a neighbour and common steps."""
+    """Yield neighbour mode, call mode, speed-up and median time of each call mode."""
     for route, own in times.items():
         above = next((above for above in ABOVE.get(route, ()) if above in times), None)
         if above is not None:
@@ -202,8 +193,8 @@ def _gains_by_route(
                 yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
-def right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
-    """Return the levels at which each solver is right on every step, the most usual first."""
+def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
+    """Return the settings levels at which each solver is right on every step."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
     for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
@@ -212,8 +203,8 @@ def right_levels(records: Records, requirements: Requirements) -> dict[str, list
     return levels
 
 
-def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
-    """Count how often each formulation has the least median step time.
+def count_fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
+    """Count how often each QP formulation has the least median step time.
 
     Of the configurations that are right on a sequence in two at least.
     """
@@ -227,7 +218,7 @@ def fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 
 
-def common_replays(
+def match_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
     """Yield timed replays of two solvers in the same call mode, with both step times."""

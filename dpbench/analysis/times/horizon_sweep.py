@@ -24,13 +24,13 @@ LEAST_SIZES = 3
 """Two points lie on a line whatever the law is."""
 
 
-def count_moves(horizons: Horizons) -> int:
-    """Return the number of moves of a plan: n of the condensed form, which compares all forms."""
+def count_variables(horizons: Horizons) -> int:
+    """Return the number of variables of the condensed QP: forces times control horizon."""
     return len(FORCES) * horizons[1]
 
 
 def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
-    """Return p of the power law t = c · size^p through the median times (K,) at each size.
+    """Fit p of the power law t = c · size^p to median times; None for few sizes.
 
     Least squares of log t on log size; None with fewer than `LEAST_SIZES` different sizes.
     """
@@ -40,8 +40,8 @@ def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | No
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """One configuration at one pair of horizons; `times` None where it did not do every step."""
+class SweepPoint:
+    """Times and accuracy of one configuration at one pair of horizons."""
 
     run: RunRecord
     times: StepTimes | None
@@ -59,31 +59,31 @@ class Point:
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """p99 with its interval over steps."""
+        """p99 of the algorithmic step time with its 95 % interval."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
 class SweptConfiguration:
-    """A configuration over the horizons of a sweep."""
+    """Replays of one configuration over the horizons of a sweep."""
 
     configuration: Configuration
-    points: dict[Horizons, Point]
+    points: dict[Horizons, SweepPoint]
 
     @property
-    def timed(self) -> dict[Horizons, Point]:
-        """The points with a time for every step."""
+    def timed(self) -> dict[Horizons, SweepPoint]:
+        """Points with a time for every step, by horizons."""
         return {h: point for h, point in self.points.items() if point.times is not None}
 
     @property
     def growth(self) -> float | None:
-        """`growth_exponent` over the number of moves."""
-        sizes = [count_moves(horizons) for horizons in self.timed]
+        """Exponent p of the median step time over the number of QP variables n^p."""
+        sizes = [count_variables(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     @property
     def has_p99(self) -> bool:
-        """True if it has enough steps for a p99 anywhere."""
+        """True if any of its replays has enough steps for a p99."""
         return any(math.isfinite(point.p99_ns) for point in self.timed.values())
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
@@ -91,13 +91,13 @@ class SweptConfiguration:
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
         return max(fit, key=_moves_key, default=None)
 
-    def measured_beyond(self, horizons: Horizons) -> bool:
-        """Return whether longer horizons have a p99, of right answers or not."""
+    def has_p99_beyond(self, horizons: Horizons) -> bool:
+        """Return whether a replay at longer horizons has a p99."""
         beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
-    def settled(self, limit_ns: float) -> bool:
-        """Return whether no interval of a p99 of right answers beyond contains `limit_ns`."""
+    def is_settled(self, limit_ns: float) -> bool:
+        """Return whether p99 intervals leave no doubt on the largest horizons in time."""
         largest = self.largest_within(limit_ns)
         beyond = [
             point
@@ -118,7 +118,7 @@ class Sweep:
 
     @property
     def horizons(self) -> list[Horizons]:
-        """All pairs, by the number of moves."""
+        """All pairs of horizons in the sweep, by control horizon."""
         return list(self.sequences)
 
     @property
@@ -127,7 +127,7 @@ class Sweep:
         return any(swept.has_p99 for swept in self.swept)
 
     def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
-        """Return the longest horizons with right answers within a limit.
+        """Return a configuration's longest horizons with right answers in time, or None.
 
         By p99, or by the largest step where there are too few for one.
         """
@@ -138,7 +138,7 @@ class Sweep:
             for horizons, point in swept.timed.items()
             if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
         ]
-        return max(held, key=count_moves, default=None)
+        return max(held, key=count_variables, default=None)
 
     @property
     def best(self) -> list[SweptConfiguration]:
@@ -149,10 +149,10 @@ class Sweep:
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
-    """Return the sweeps in the records: scenarios replayed under two horizons at least."""
+    """Find the scenarios replayed under two or more pairs of horizons."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
-    problems = group_by(replays, _problem_key)
+    problems = group_by(replays, _swept_problem_key)
     candidates = [
         _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
     ]
@@ -160,11 +160,12 @@ def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
 
 
 def _moves_key(horizons: Horizons) -> tuple[int, int]:
+    """Return a sort key of horizons: control horizon, then prediction horizon."""
     return horizons[1], horizons[0]
 
 
-def _problem_key(run: RunRecord) -> str:
-    """Return a key of replays that differ in their horizons only; "" without a scenario."""
+def _swept_problem_key(run: RunRecord) -> str:
+    """Return a key of replays that differ in their horizons only; "" if no scenario."""
     files = run.scenario_files
     if files is None or run.horizons is None:
         return ""
@@ -176,15 +177,18 @@ def _problem_key(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
+    """Build a horizon sweep from the replays of one scenario."""
     sequences: dict[Horizons, str] = {}
-    points: dict[Configuration, dict[Horizons, Point]] = {}
+    points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:
         horizons = run.horizons
         assert horizons is not None  # or it would be of no problem that is swept
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
-            of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _build_point(records, run, requirements))
+            times = records.times(run)
+            whole = times is not None and len(times.algo_ns) == run.steps_planned
+            point = SweepPoint(run, times if whole else None, is_right(run, requirements))
+            points.setdefault(run.configuration, {}).setdefault(horizons, point)
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
@@ -193,15 +197,8 @@ def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requ
     )
 
 
-def _build_point(records: Records, run: RunRecord, requirements: Requirements) -> Point:
-    """Return a cell's point; one stopped before it had done every step has no time."""
-    times = records.times(run)
-    whole = times is not None and len(times.algo_ns) == run.steps_planned
-    return Point(run, times if whole else None, is_right(run, requirements))
-
-
 def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
-    """Sort key: most horizons with right answers, most with a time, then the fastest."""
+    """Return a sort key: most horizons right, most timed, then the fastest."""
     right = sum(point.right for point in swept.timed.values())
     largest = max(swept.timed, key=_moves_key, default=None)
     slowest_ns = swept.timed[largest].median_ns if largest else math.inf

@@ -8,7 +8,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
-from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, usual_factor
+from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, factor_quantile
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -20,56 +20,60 @@ neighbours too."""
 
 
 def round_spread(records: Records) -> tuple[float, float]:
-    """Return the ratio of slowest to fastest round: its median, and the bound of 95 %.
+    """Return median and 95 % quantile of configurations' slowest over fastest round.
 
     Over the configurations; NaN without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
-    return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
+    return (
+        (float(np.median(slowest)), factor_quantile(slowest)) if slowest else (math.nan, math.nan)
+    )
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
-    """Return every timed replay, calibration included, once where it has several names.
+    """Return every timed replay, calibration included, each once.
 
     Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
     among those that the machine is judged by.
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return _set_own_switches_apart(list(first_by(timed, _run_key).values()))
+    return _separate_own_switches(list(first_by(timed, _measurement_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
-    """Return every loop on a slow computer that left a step, its own switches apart."""
-    return _set_own_switches_apart([run for run in records.delayed if run.has_steps])
+    """Return every closed loop on a simulated slow computer that did a step."""
+    return _separate_own_switches([run for run in records.delayed if run.has_steps])
 
 
-def _set_own_switches_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Tell context switches that a configuration makes itself from the machine's."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
     return [
         replace(run, involuntary_switches=np.nan, own_switches_a_step=a_step)
-        if (a_step := _switches_a_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
+        if (a_step := _switches_per_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
         else run
         for run, rate in zip(runs, rates, strict=True)
     ]
 
 
-def _switches_a_step(run: RunRecord) -> float:
+def _switches_per_step(run: RunRecord) -> float:
+    """Return a run's involuntary context switches per step; NaN without a round."""
     rounds = 1.0 if run.mode == "closed_loop" else run.rounds
     # One that was stopped before its first round that counts has none.
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
-def _run_key(run: RunRecord) -> tuple[object, ...]:
-    """Return a key to the nanosecond: settings without effect are one run under several names."""
+def _measurement_key(run: RunRecord) -> tuple[object, ...]:
+    """Return a key of a replay that equals for one run under several settings names."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
-def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
-    """Return the total disturbance of some replays."""
+def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
+    """Sum the disturbances of replays: rounds, context switches, stolen time."""
     parts = [
         Disturbance(
             rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,
@@ -86,33 +90,33 @@ def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
 
 
 def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
-    """Return the disturbance of the timed replays of each sequence, where it is known.
+    """Return what disturbed the timed replays of each sequence, where it is known.
 
     Random problems, which are not timed alone, are not included.
     """
     replays = group_by(timed_runs(records), lambda run: run.sequence)
-    disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
+    disturbances = {sequence: total_disturbance(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
 
 
-def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return by name the largest of its known figures."""
+def largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Return the largest known figure of each name."""
     known = group_by((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
     return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Return the largest median [ns] of the counting timings of each calibration solver."""
-    return largest_of((run.solver, run.raw_p50_ns) for run in calibration)
+    """Return the largest median timing [ns] of each calibration solver."""
+    return largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
 
 
 def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
-    """Return the shortest wait of known length that was measured [ns]; NaN for none."""
+    """Return the shortest measured wait of known length [ns]; NaN for none."""
     waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
     return float(min(waits, default=math.nan))
 
 
 def library_call_ns(records: Records) -> float:
-    """Return the time of a call to a library that only copies [ns]; NaN without it."""
+    """Return the time of a library call that only copies data [ns]; NaN if not run."""
     times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
     return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

@@ -31,13 +31,13 @@ LARGEST_ERROR = 1e3
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """Return what tells a configuration apart beside the column of its solver."""
+    """Return a configuration's solver, route, policy and settings as columns."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
 def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return the verdict on every configuration over all its runs; times in µs."""
+    """Tabulate the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
         [
             {
@@ -65,7 +65,7 @@ def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the step that bounds each of its parts."""
+    """Return a configuration's speed margin and the steps that limit it, as columns."""
     margin = matrix.margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
@@ -90,7 +90,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return columns `TIMES` of the best configuration of each solver that was timed."""
+    """Tabulate the step times [ms] of the best configuration of each timed solver."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -103,7 +103,9 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
-            "longest_ms": _longest_ms(matrix, verdict),
+            "longest_ms": nan
+            if (longest := matrix.longest_timing(verdict.configuration)) is None
+            else longest[1].raw_max_ns / 1e6,
             "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
@@ -113,20 +115,15 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
-def _longest_ms(matrix: RunMatrix, verdict: Verdict) -> float:
-    longest = matrix.longest_timing(verdict.configuration)
-    return nan if longest is None else longest[1].raw_max_ns / 1e6
-
-
-def tile_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return solver × experiment × settings, in the call mode of its best configuration."""
+def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate the verdict on each solver by experiment and settings level."""
     best = {
         v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
     }
     modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile_row(matrix, replace(mode, settings=level), p)
+            _experiment_row(matrix, replace(mode, settings=level), p)
             for mode in modes
             for level in matrix.levels
             for p in matrix.judged_experiments
@@ -134,7 +131,8 @@ def tile_table(matrix: RunMatrix) -> pd.DataFrame:
     )
 
 
-def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+    """Return the verdict on a configuration in one experiment as a table row."""
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
@@ -153,7 +151,7 @@ def _tile_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any
 
 
 def level_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return error and time at each settings level of each solver.
+    """Tabulate error and step time of each solver at each settings level.
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
@@ -179,10 +177,8 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
-    """Return the hardest steps of every run outside studies by each measure; times in µs.
+    """Tabulate the hardest steps of every run by time, iterations and error.
 
-    Parameters
-    ----------
     kept : by run id.
     """
     labels = {
@@ -203,14 +199,14 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.Dat
 
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Return the paired ratio of each solver's best configuration to the fastest of them."""
+    """Tabulate the time ratio of each solver's best configuration to the fastest."""
     timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
-def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """Return the timed configurations, and `log_half_width` of any two of them.
+def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
+    """Return the timed configurations, and the log ratio half-width of each two.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """
@@ -224,10 +220,8 @@ def pair_reaches(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 
 @dataclass(frozen=True)
 class LevelPoint:
-    """Configuration at one settings level of its solver, over all sequences.
+    """Step times and error of a solver at one settings level, over all sequences.
 
-    Parameters
-    ----------
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
         so that both are of the same steps; where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
@@ -243,10 +237,8 @@ class LevelPoint:
 def level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Return the points of each solver in one call mode, the most usual settings first.
+    """Return each solver's times and error at its settings levels, in one call mode.
 
-    Parameters
-    ----------
     sequences : all of which a configuration was replayed on, or it has no point.
     modes : route and policy by solver; one that is not in it has no points.
     """
@@ -257,15 +249,16 @@ def level_points(
         point
         for configuration, runs in configurations.items()
         if len({run.sequence for run in runs}) == len(sequences)
-        and (point := _level_point(records, configuration, runs)) is not None
+        and (point := _build_level_point(records, configuration, runs)) is not None
     ]
     points.sort(key=lambda point: settings_level(point.configuration.settings))
     return group_by(points, lambda point: point.configuration.solver)
 
 
-def _level_point(
+def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
+    """Return a configuration's worst times and error over sequences; None if untimed."""
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None

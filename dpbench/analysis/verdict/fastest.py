@@ -21,7 +21,7 @@ ALIKE = 0.03
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Sort by p99, those without one by their largest step time, those without time last."""
+    """Sort verdicts by p99 step time, else by the largest; untimed ones last."""
     return sorted(
         verdicts,
         key=lambda v: (
@@ -33,22 +33,23 @@ def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _finite_or_inf(time_ns: float) -> float:
+    """Return a time [ns], infinity for NaN, so that missing times sort last."""
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
-    """Return the configurations that rank, timed on the most sequences, the fastest first.
+    """Return the qualifying configurations with most timed sequences, fastest first.
 
     Of two names of one run the more usual settings.
     """
-    ranks = [verdict for verdict in verdicts.all if verdict.ranks]
+    ranks = [verdict for verdict in verdicts.all if verdict.is_rankable]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_level_key))
+    return fastest_first(sorted(wide, key=_settings_key))
 
 
 def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """Return the solver's fastest configuration, or more usual settings hardly slower."""
+    """Return a solver's fastest qualifying configuration, usual settings preferred."""
     return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
@@ -57,41 +58,41 @@ def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     by_solver = group_by(
         rank_configurations(verdicts), lambda verdict: verdict.configuration.solver
     )
-    return list(map(_most_usual, by_solver.values()))
+    return list(map(_prefer_usual_settings, by_solver.values()))
 
 
-def _most_usual(own: Sequence[Verdict]) -> Verdict:
-    """Return the most usual settings that are as fast as a solver's fastest, the first."""
+def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
+    """Return the most usual settings that are as fast as a solver's fastest."""
     best = own[0]
     mode = best.configuration.route, best.configuration.policy
-    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time(best), best.rounds_ns
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time_ns(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
         # Where rounds overlap, the least of a few may be lower for the slower one by chance.
         and (
-            _ranking_time(verdict) <= usual
+            _ranking_time_ns(verdict) <= usual
             or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
         )
     ]
-    return min(alike, key=_level_key)
+    return min(alike, key=_settings_key)
 
 
-def _level_key(verdict: Verdict) -> tuple[int, str]:
+def _settings_key(verdict: Verdict) -> tuple[int, str]:
+    """Return a sort key of a configuration's settings, the most usual first."""
     return settings_level(verdict.configuration.settings)
 
 
-def _ranking_time(verdict: Verdict) -> float:
+def _ranking_time_ns(verdict: Verdict) -> float:
+    """Return the time by which a configuration is ranked [ns]: p99, else p50."""
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
 
 
 @dataclass(frozen=True)
 class SolverChoice:
-    """Solver to use, by the results of one folder.
+    """Recommended solver of a result folder, the runner-up, and a faster one.
 
-    Parameters
-    ----------
     chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
     faster : the fastest of all, where that is another one; `because` is why it is not chosen.
@@ -104,7 +105,7 @@ class SolverChoice:
 
 
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
-    """Choose the solver with the smallest p99 among those that pass.
+    """Choose the deployable solver with the smallest p99 among those that pass.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
@@ -128,7 +129,7 @@ def find_solver_record(solver: str) -> SolverRecord | None:
 
 
 def solver_family(solver: str) -> str:
-    """Return the family of methods of a solver; "not stated" of one that is not known here."""
+    """Return a solver's method family, as active set; "not stated" if unknown."""
     return str(getattr(find_solver_record(solver), "family", "not stated"))
 
 
@@ -139,7 +140,7 @@ def deployment_blocker(solver: str) -> str:
 
 
 def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
-    """Return the configuration that shows each solver, the best state first, then by time.
+    """Return the best verdict of each solver, sorted by state, then by time.
 
     It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
     fastest. Where some were run in both modes, those without a loop or a replay do not count.

@@ -52,10 +52,8 @@ OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Finding against a configuration, or on what could not be judged.
+    """Reason for a verdict on a configuration: a fault, doubt, near limit or gap.
 
-    Parameters
-    ----------
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
     steps : the steps or timings of the figure.
@@ -69,10 +67,10 @@ class Finding:
     machine: float = math.nan
 
 
-def worst_first(
+def finding_on_worst(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return one finding with the worst run by a figure in front, the others in their order."""
+    """Return one finding on several runs, the worst by a figure first; or none."""
     if not runs:
         return []
     worst = max(runs, key=figure)

@@ -72,8 +72,6 @@ PASSES = 3
 class LateTimings:
     """Late timings of one run, with the share that the machine explains.
 
-    Parameters
-    ----------
     late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
@@ -93,18 +91,18 @@ class LateTimings:
 
     @property
     def is_proven(self) -> bool:
-        """True where the machine is excluded as the cause; otherwise that is doubtful."""
+        """True if the test excludes the machine as the cause of the late timings."""
         return self.p <= PROVEN
 
 
 @dataclass(frozen=True)
-class Machine:
-    """Stalls of the machine: rate per ns of exposed time, shape of their counts per round."""
+class StallModel:
+    """Stalls of the machine: rate per ns of exposed time, dispersion of counts."""
 
     rate: float
     shape: float
 
-    def tail(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
+    def tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
         """Return P(X ≥ count) of X stalls in `exposed_ns`, plus 1 % of `allowed` timings."""
         mean = self.rate * exposed_ns
         if count <= 0:
@@ -117,15 +115,16 @@ class Machine:
         return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
 
 
-MachineAt = Callable[[float], Machine]
+MachineAt = Callable[[float], StallModel]
 """The machine by the limit [ns]."""
 
 
 def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
-    """Return the late timings, proven or doubtful, of every scaled replay and loop by run id."""
-    runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
+    """Test every replay and closed loop for late timings; return those found by run id."""
+    scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
+    runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
@@ -141,7 +140,9 @@ def find_late_timings(
         "late timings": [
             *_test_replays(repeated, arms, delays, requirements, "late timings"),
             *(
-                _test_once(run, delays[run.run_id], requirements.p99_ns * uncertainty.of(run))
+                _test_single_round(
+                    run, delays[run.run_id], requirements.p99_ns * uncertainty.of(run)
+                )
                 for run in once
             ),
         ],
@@ -151,18 +152,14 @@ def find_late_timings(
     return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
 
 
-def _is_tested(run: RunRecord) -> bool:
-    return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
-
-
 def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
-    """Return the delays without their waits where those may be for the run's own threads."""
+    """Return a run's delays, without core waits if its own threads may cause them."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
     return delays.without_waits if waits else delays
 
 
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
-    """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
+    """Adjust the p-values of one family of late-timing tests by Holm's method."""
     family = [test for test in tests if not math.isnan(test.machine)]
     adjusted = adjust_holm(np.array([test.p for test in family]))
     return [
@@ -178,7 +175,7 @@ def _test_replays(
     requirements: Requirements,
     kind: Kind,
 ) -> list[LateTimings]:
-    """Test every replay against the machine as the other solvers on its sequence met it."""
+    """Test each replay for late timings against stalls in other solvers' replays."""
     tests: list[LateTimings] = []
     sources = choose_trusted_runs(replays, arms, delays, requirements)
     for _ in range(PASSES):
@@ -191,20 +188,20 @@ def _test_replays(
             if key not in machines:
                 runs = on_sequence.get(run.sequence, [])
                 others = [delays[one.run_id] for one in runs if one.solver != run.solver]
-                machines[key] = _machine_at(others, own.has_waits)
+                machines[key] = _build_stall_model(others, own.has_waits)
             tests.append(_test_replay(run, own, machines[key], requirements, kind))
         late = {test.run for test in adjust_p_values(tests) if test.is_proven}
         sources = [run for run in (*replays, *arms) if run not in late]
     return tests
 
 
-def _machine_at(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
-    """Return the machine that other runs show, with waits or without; None where none does."""
+def _build_stall_model(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
+    """Return the stall model by limit [ns], fitted to other runs; None without any."""
     if has_waits:
         comparable = [other for other in others if other.has_waits]
     else:
         comparable = [other.without_waits for other in others]
-    return cache(partial(_machine_of, comparable)) if comparable else None
+    return cache(partial(_fit_stalls, comparable)) if comparable else None
 
 
 def choose_trusted_runs(
@@ -213,7 +210,7 @@ def choose_trusted_runs(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[RunRecord]:
-    """Return the runs of the first estimate of the machine, which hide no late solver.
+    """Choose the runs for the first stall estimate: calibration, else the calmest.
 
     These are the calibration configurations, or else the half of the solvers with fewer stalls.
     """
@@ -226,8 +223,8 @@ def choose_trusted_runs(
     return [run for run in replays if run.solver in half]
 
 
-def _machine_of(others: Sequence[Delays], limit_ns: float) -> Machine:
-    """Estimate the machine from other solvers' stalls longer than half a limit.
+def _fit_stalls(others: Sequence[Delays], limit_ns: float) -> StallModel:
+    """Estimate the machine's stalls beyond half a limit from other solvers' runs.
 
     Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
@@ -235,11 +232,11 @@ def _machine_of(others: Sequence[Delays], limit_ns: float) -> Machine:
     first = [min(1, len(count) - 1) for count in counts]
     stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
     exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(others, first, strict=True)])
-    return estimate_machine(stalls.astype(np.float64), exposed_ns)
+    return estimate_stalls(stalls.astype(np.float64), exposed_ns)
 
 
-def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
-    """Estimate rate and dispersion from the stalls (R,) of rounds exposed for `exposed_ns` (R,).
+def estimate_stalls(stalls: Floats, exposed_ns: Floats) -> StallModel:
+    """Estimate stall rate and dispersion from counts (R,) and exposed times (R,).
 
     The rate has half a stall added (Jeffreys), the shape is that of the moments.
     """
@@ -247,13 +244,13 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
     mean = rate * exposed_ns
     beyond = float(((stalls - mean) ** 2 - stalls).sum())
     shape = float((mean**2).sum()) / beyond if beyond > 0.0 else math.inf
-    return Machine(rate, float(np.clip(shape, *DISPERSION)))
+    return StallModel(rate, float(np.clip(shape, *DISPERSION)))
 
 
 def _test_replay(
     run: RunRecord, own: Delays, machine: MachineAt | None, requirements: Requirements, kind: Kind
 ) -> LateTimings:
-    """Test the middle round of a replay; doubtful where there is no machine to compare with."""
+    """Test whether a replay has more late timings than the machine's stalls explain."""
     counts, samples = own.count_late(requirements.p99_ns), int(own.samples.sum())
     late = int(own.without_waits.count_late(requirements.p99_ns).sum())
     if machine is None:
@@ -262,25 +259,25 @@ def _test_replay(
         return LateTimings(kind, run, late, samples, math.nan, p)
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
     limits_ns = [m * requirements.p99_ns for m in ((1.0,) if allowed else MULTIPLES)]
-    ps = [_p_of_middle_round(own, machine(limit), limit, allowed) for limit in limits_ns]
+    ps = [_middle_round_p_value(own, machine(limit), limit, allowed) for limit in limits_ns]
     stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
-def _p_of_middle_round(own: Delays, machine: Machine, limit_ns: float, allowed: int) -> float:
-    """Return the probability of as many timings beyond a limit in the middle round or more."""
+def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, allowed: int) -> float:
+    """Return the p-value of the late timings in the middle one of a replay's rounds."""
     counts, rounds = own.count_late(limit_ns), len(own.samples)
     middle = (rounds - 1) // 2
     x = int(np.sort(counts)[middle])
-    one_round = machine.tail(x, float(own.base_ns.mean()), allowed)
+    one_round = machine.tail_probability(x, float(own.base_ns.mean()), allowed)
     return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
-def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test the late timings of a run of one round that the machine does not explain."""
+def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
+    """Test a run of one round for late timings that the machine does not explain."""
     late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
-    explained = _explained_count(run, own, late, limit_ns)
+    explained = _count_explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -290,8 +287,8 @@ def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     return LateTimings("late timings", run, late, samples, explained / samples, p)
 
 
-def _explained_count(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
-    """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
+def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+    """Return how many late timings of a run the machine explains; NaN if unknown."""
     if own.has_waits:
         return late - int(own.count_late(limit_ns).sum())
     if math.isnan(run.involuntary_switches):
@@ -307,7 +304,7 @@ def _test_deadline(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[LateTimings]:
-    """Test timings past the deadline against such stalls in all replays of other solvers."""
+    """Test timings past the deadline against equally long stalls of other solvers."""
     limit_ns = requirements.deadline_ns
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
@@ -325,8 +322,8 @@ def _test_deadline(
             p, expected = DOUBTFUL, math.nan
         else:
             count, exposed_ns = (sum(part) for part in zip(*others, strict=True))
-            machine = Machine((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
+            machine = StallModel((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
             expected = machine.rate * float(own.base_ns.sum()) / samples
-            p = machine.tail(late, float(own.base_ns.sum()))
+            p = machine.tail_probability(late, float(own.base_ns.sum()))
         tests.append(LateTimings("past the deadline", run, late, samples, expected, p))
     return tests

@@ -15,7 +15,7 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class Requirements:
-    """Requirements of a controller on a solver."""
+    """Limits that a controller sets on a solver: error, failed steps, p99, deadline."""
 
     error_move: float = 1e-2
     failed_steps: int = 0
@@ -24,14 +24,14 @@ class Requirements:
 
     @classmethod
     def of(cls, suite: SuiteDescription) -> Requirements:
-        """Return the requirements in `suite.json`; defaults where it has none."""
+        """Read the requirements of a suite, with defaults where it has none."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
         return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
 
     @property
     def p99_ns(self) -> float:
-        """Largest p99 of the algorithmic step time [ns]."""
+        """Limit on the p99 of the algorithmic step time [ns]."""
         return self.p99_ms * 1e6
 
     @property
@@ -41,7 +41,7 @@ class Requirements:
 
 
 def is_right(run: RunRecord, requirements: Requirements) -> bool:
-    """Return whether all replayed steps pass, and no answer is remembered.
+    """Return whether every step of a run was solved within the accuracy requirements.
 
     A run that its time limit stopped counts if it had done every step at least once by then.
     """
@@ -55,17 +55,17 @@ def is_right(run: RunRecord, requirements: Requirements) -> bool:
 
 
 def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
-    """Return whether it is right, and nothing stopped it: what a closed loop has to be."""
+    """Return whether a run finished and solved every step within the requirements."""
     return run.outcome == "finished" and is_right(run, requirements)
 
 
 def cost_ratio(run: RunRecord) -> float:
-    """Return cost over that of the reference loop; NaN for a loop that did not end."""
+    """Return a closed loop's cost over the reference loop's; NaN if it did not end."""
     if not run.steps_done >= run.steps_planned:
         return math.nan
     return run.closed_loop_cost / run.exact_cost
 
 
 def has_survived(run: RunRecord) -> bool:
-    """Return whether a loop ended, at a cost within `MARGIN` and without a violation."""
+    """Return whether a closed loop ended at a cost within 10 % and without violation."""
     return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -19,14 +19,14 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdict_of
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.scenario.scenario import Scenario, build_scenario
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Scenario in closed loop, or sequence in replay; of a study a point and realisation."""
+    """Scenario in closed loop, sequence in replay, or one realisation of a study."""
 
     mode: str
     name: str
@@ -39,7 +39,7 @@ class Experiment:
 
     @classmethod
     def of(cls, run: RunRecord, formulation: str = "") -> Experiment:
-        """Return the experiment of a run; `formulation` where it is not the common one."""
+        """Return the experiment of a run: scenario, sequence or study realisation."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)
             return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
@@ -49,12 +49,12 @@ class Experiment:
 
     @property
     def order(self) -> tuple[bool, bool, bool]:
-        """Sort key: loops before replays, SI units after both, studies last."""
+        """Sort key of the page: loops before replays, SI units after both, studies last."""
         return self.study != "", self.mode == "replay", self.units == "si"
 
     @property
     def label(self) -> str:
-        """Name on the page."""
+        """Name of the experiment on the page."""
         if self.study:
             return f"{self.study}: point {self.point}, sea {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
@@ -66,7 +66,7 @@ class Experiment:
 
 @dataclass(eq=False)
 class RunMatrix:
-    """Runs of a result folder by configuration and experiment; the lists are described above."""
+    """Runs and verdicts of a result folder by configuration and experiment."""
 
     records: Records
     requirements: Requirements
@@ -81,10 +81,8 @@ class RunMatrix:
     def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """Arrange the runs of some records; of two of one cell the longer.
+        """Arrange a folder's runs by configuration and experiment; judge each cell.
 
-        Parameters
-        ----------
         studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
         runs: dict[tuple[Configuration, Experiment], RunRecord] = {}
@@ -117,13 +115,13 @@ class RunMatrix:
             where = experiment.mode, experiment.units, experiment.slowdown
             if window is not None and where == ("closed_loop", "scaled", 0.0):
                 judged.append(window)
-            verdict = verdict_of(records, configuration, judged, [], matrix.requirements)
+            verdict = judge_configuration(records, configuration, judged, [], matrix.requirements)
             matrix.states[at] = verdict
         return matrix
 
     @property
     def references(self) -> list[Configuration]:
-        """Configuration each solver is judged by; its first where nothing was judged."""
+        """Configuration by which each solver is judged."""
         judged = [verdict.configuration for verdict in self.verdicts.references]
         first = first_by(self.configurations, lambda configuration: configuration.solver)
         return judged or list(first.values())
@@ -136,17 +134,17 @@ class RunMatrix:
 
     @property
     def judged_experiments(self) -> list[int]:
-        """Numbers of the experiments that enter verdicts: all but studies."""
+        """Indices of the experiments that enter verdicts: all but studies."""
         return [p for p, experiment in enumerate(self.experiments) if not experiment.study]
 
     @cached_property
     def first_runs(self) -> dict[int, RunRecord]:
-        """First run of each experiment."""
+        """First run of each experiment, by its index."""
         keys = first_by(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
     def scenario(self, run: RunRecord) -> Scenario | None:
-        """Return the scenario of a run, in a study of its sea; None without one."""
+        """Return the scenario of a run, in a study with its sea; None without one."""
         if not run.study:
             return self.records.scenario(run.scenario)
         experiment = Experiment.of(run)
@@ -156,7 +154,7 @@ class RunMatrix:
         return self._seas[experiment]
 
     def state(self, c: int, p: int) -> str:
-        """Return the state of a run alone: one of `STATES`.
+        """Return the verdict on configuration `c` in experiment `p` alone.
 
         On a slower computer the ship has to be held, too, or the answers were late.
         """
@@ -171,22 +169,22 @@ class RunMatrix:
         return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
     def timed_experiment_index(self, verdict: Verdict) -> int | None:
-        """Return the number of the replay behind the p99 of a verdict; None without one."""
+        """Return the index of the replay behind a verdict's p99; None without one."""
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
     def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
-        """Return the judged run with the largest single timing; None without one."""
+        """Return a configuration's judged run with the largest single timing, or None."""
         judged = self._judged_runs(configuration)
         timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
 
     def margin(self, configuration: Configuration) -> SpeedMargin | None:
-        """Return the speed margin of a configuration; None where no replay of it was timed."""
+        """Return a configuration's speed margin; None where it was not timed."""
         return speed_margins(self.records, self.requirements).get(configuration)
 
-    def without_solution(self, configuration: Configuration) -> tuple[int, bool]:
-        """Return the steps of its judged runs without a solution, and whether it claimed all."""
+    def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, bool]:
+        """Count a configuration's infeasible steps; return if all were reported as such."""
         judged = self._judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
@@ -194,13 +192,13 @@ class RunMatrix:
         return steps, all(run.true_share == 1.0 for run in known)
 
     def _judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
-        """Return its runs that enter verdicts."""
+        """Return a configuration's runs that enter verdicts, with their experiments."""
         c = self.index(configuration)
         known = [(self.experiments[p], run) for (at, p), run in self.runs.items() if at == c]
         return [one for one in known if one[0].units == "scaled" and not one[0].study]
 
     def index(self, configuration: Configuration) -> int:
-        """Return the number of a configuration; −1 for one that was not run."""
+        """Return the index of a configuration; −1 for one that was not run."""
         known = self.configurations
         return known.index(configuration) if configuration in known else -1
 

@@ -23,10 +23,8 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class SlowStep:
-    """Step that bounds the speed of a computer.
+    """Step whose solve time limits how slow a computer may be.
 
-    Parameters
-    ----------
     time_ns : its algorithmic time; k : the sample of the scenario.
     iterations : the solver's own count, NaN without one; n_active : active limits at the optimum.
     """
@@ -40,10 +38,8 @@ class SlowStep:
 
 @dataclass(frozen=True)
 class SpeedMargin:
-    """Speed margin of one configuration.
+    """How much slower a computer may be, and the steps that limit it.
 
-    Parameters
-    ----------
     hardest : the step with the largest algorithmic time.
     p99 : the step whose time is the largest p99 of all replays; the hardest step where none
         supports a p99.
@@ -58,7 +54,7 @@ class SpeedMargin:
 
     @property
     def factor(self) -> float:
-        """Factor up to which the times stay within both limits."""
+        """Slow-down factor up to which times stay within deadline and p99 limit."""
         return min(self.deadline, self.p99_limit)
 
 
@@ -66,7 +62,7 @@ class SpeedMargin:
 def speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Return the speed margin of every configuration that was timed."""
+    """Compute the speed margin of every timed configuration."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
     of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
@@ -77,7 +73,9 @@ def speed_margins(
             p99 = {run: p99_ns(run, algo[run]) for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
-    steps = _bounding_steps(records, {run.run_id: run for both in bounds.values() for run in both})
+    steps = _find_bounding_steps(
+        records, {run.run_id: run for both in bounds.values() for run in both}
+    )
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
@@ -86,28 +84,31 @@ def speed_margins(
     return margins
 
 
-def _bounding_steps(
+def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
-    """Return the hardest step of each run, and the step at its p99."""
+    """Find each run's step of the largest time, and the one at its p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
         p99 = p99_ns(run, steps.time_ns)
         times_ns = largest, largest if math.isnan(p99) else p99
-        found[run_id] = _slow_step(run, steps, times_ns[0]), _slow_step(run, steps, times_ns[1])
+        found[run_id] = (
+            _nearest_step(run, steps, times_ns[0]),
+            _nearest_step(run, steps, times_ns[1]),
+        )
     return found
 
 
-def _slow_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
-    """Return the step nearest to `time_ns`, with that time: a p99 lies between two steps."""
+def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
+    """Return a run's step whose time is nearest to `time_ns`, with that time."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
 def largest_stall_ns(records: Records) -> float:
-    """Return the longest that a calibration run exceeded its step [ns]; NaN without."""
+    """Return the longest stall in calibration runs [ns]; NaN without any."""
     arms = [run for run in records.calibration if run.mode == "replay"]
     delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]

@@ -9,17 +9,15 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
 
 
 @dataclass(frozen=True)
 class ThrusterVerdicts:
-    """Verdicts with thrusters, and with three forces where the suite has both.
+    """Verdict of each solver with thrusters and with three forces commanded.
 
-    Parameters
-    ----------
     forces : scenarios whose controller commands three forces.
     with_forces, with_thrusters : the best verdict on any configuration of each solver; the first
         is empty where the suite has no such scenario.
@@ -32,55 +30,55 @@ class ThrusterVerdicts:
     faults: dict[str, Fault]
 
     @property
-    def fine(self) -> list[str]:
-        """Solvers that pass with thrusters."""
+    def passing(self) -> list[str]:
+        """Names of the solvers that pass with thrusters."""
         return [name for name, state in self.with_thrusters.items() if state == "pass"]
 
     @property
     def undecided(self) -> list[str]:
-        """Solvers whose verdict with thrusters is inconclusive or borderline."""
+        """Names of solvers inconclusive or borderline with thrusters."""
         unclear = ("borderline", "inconclusive")
         return [name for name, state in self.with_thrusters.items() if state in unclear]
 
     @property
     def passing_with_forces(self) -> list[str]:
-        """Those that pass with three forces and were judged with thrusters."""
+        """Names of solvers that pass with forces and were judged with thrusters."""
         known = self.with_thrusters
         return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
 
     @property
     def passing_with_forces_only(self) -> list[str]:
-        """Those of `passing_with_forces` that fail, or are late, with thrusters."""
+        """Names of solvers that pass with forces, and fail or are late with thrusters."""
         return [s for s in self.passing_with_forces if self.with_thrusters[s] in MISSED]
 
     @property
-    def missing(self) -> list[str]:
-        """Solvers that fail, or are late, with thrusters."""
+    def failing(self) -> list[str]:
+        """Names of the solvers that fail, or are late, with thrusters."""
         return [name for name, state in self.with_thrusters.items() if state in MISSED]
 
 
 def is_about_thrusters(records: Records) -> bool:
     """Return whether most scenarios run in closed loop command thrusters."""
-    loops = {run.scenario: run.steers_thrusters for run in records.select(mode="closed_loop")}
+    loops = {run.scenario: run.commands_thrusters for run in records.select(mode="closed_loop")}
     return 2 * sum(loops.values()) > len(loops)
 
 
-def compare_commanded(records: Records, requirements: Requirements) -> ThrusterVerdicts:
-    """Return the verdicts by what is commanded."""
-    of_thrusters = [run for run in records.runs if run.steers_thrusters]
-    of_forces = [run for run in records.runs if run.scenario_files and not run.steers_thrusters]
-    verdicts = verdicts_of(records, requirements, of_thrusters)
+def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
+    """Judge the solvers with thrusters and with three forces commanded, to compare."""
+    of_thrusters = [run for run in records.runs if run.commands_thrusters]
+    of_forces = [run for run in records.runs if run.scenario_files and not run.commands_thrusters]
+    verdicts = judge_solvers(records, requirements, of_thrusters)
     return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _best_states(verdicts_of(records, requirements, of_forces)),
-        _best_states(verdicts),
+        _best_state_by_solver(judge_solvers(records, requirements, of_forces)),
+        _best_state_by_solver(verdicts),
         {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
     )
 
 
 @dataclass(frozen=True)
 class ThrusterControlLoops:
-    """Loops that command thrusters, by configuration, and the `best` of each scenario.
+    """Closed loops that command thrusters, and the best loop of each scenario.
 
     The best is right to the end, ran farthest and is nearest to the exact loop.
     """
@@ -90,7 +88,7 @@ class ThrusterControlLoops:
 
 
 def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
-    """Select runs that command thrusters, in scenarios where a run is right throughout."""
+    """Select closed loops that command thrusters, in scenarios that a run gets right."""
     loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
     runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
     right = [run for run in runs if is_right_to_the_end(run, requirements)]
@@ -102,13 +100,13 @@ def thruster_control_loops(records: Records, requirements: Requirements) -> Thru
 
 
 def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
-    """Return the largest ratio of a metric to that of the best loop; NaN of none."""
+    """Return the largest ratio of a metric to the best loop's, over runs; NaN for none."""
     beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
     return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
 def late_losses(run: RunRecord) -> list[str]:
-    """Return thrusters and groups that a loop loses, all in the second half of its run."""
+    """Return the thrusters lost in a closed loop, if all in its second half."""
     scenario = (run.scenario_files or {}).get("scenario", {})
     faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
     if not faults:
@@ -119,18 +117,19 @@ def late_losses(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _best_states(verdicts: Verdicts) -> dict[str, State]:
+def _best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
+    """Return the best verdict of each solver that was run."""
     states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}
 
 
 def _best_state(own: Sequence[Verdict]) -> State:
-    """Return the best verdict on some configurations."""
+    """Return the best verdict over several configurations."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 
 def _common_fault(own: Sequence[Verdict]) -> Fault:
-    """Return what contradicts the requirements in every configuration that was run."""
+    """Return why a solver fails in every configuration: too late, wrong, or either."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds & {*LATE} for kinds in causes):
         return "too late"

@@ -13,7 +13,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
+from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, finding_on_worst
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
@@ -31,10 +31,10 @@ one: two clocks that are read in turn differ by some 25 µs a round."""
 
 
 @lru_cache(maxsize=2)
-def time_evidence(
+def late_timing_evidence(
     records: Records, requirements: Requirements
 ) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
-    """Return the late timings by run id, proven and doubtful, and the uncertainty of the times."""
+    """Return a folder's late timings by run id, and the uncertainty of its step times."""
     uncertainty = estimate_uncertainty(records)
     return find_late_timings(records, requirements, uncertainty), uncertainty
 
@@ -42,7 +42,7 @@ def time_evidence(
 def find_slow_loops(
     runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
-    """Return closed loops whose median timing is near or beyond what is allowed of a p99.
+    """Find closed loops whose median timing is near or beyond the p99 limit.
 
     The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
     limit by more than its uncertainty, and borderline within that.
@@ -62,23 +62,23 @@ def find_slow_loops(
     return [
         finding
         for kind, of_kind in kinds.items()
-        for finding in worst_first(kind, of_kind, lambda run: run.raw_p50_ns)
+        for finding in finding_on_worst(kind, of_kind, lambda run: run.raw_p50_ns)
     ]
 
 
 def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Return runs whose other threads took more processor time than all timed calls together.
+    """Find runs whose other threads took more processor time than the timed calls.
 
     A worker has one core, so what exceeds the timed calls was done outside of them. Of a window the
     few steps that are solved before each round without a record would count.
     """
     long = (run for run in runs if not run.window_of)
-    hidden = [run for run in long if _hidden_share(run) > HIDDEN]
-    return worst_first("hidden work", hidden, _hidden_share)
+    hidden = [run for run in long if _other_threads_share(run) > HIDDEN]
+    return finding_on_worst("hidden work", hidden, _other_threads_share)
 
 
-def _hidden_share(run: RunRecord) -> float:
-    """Return the processor time of other threads over that of the timed calls."""
+def _other_threads_share(run: RunRecord) -> float:
+    """Return the processor time of a run's other threads over that of its timed calls."""
     return run.thread_s / max(run.solve_s, SHORTEST_S)
 
 
@@ -93,7 +93,7 @@ _DOUBTFUL: Mapping[str, Doubt] = {
 def report_late_timings(
     runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
 ) -> list[Finding]:
-    """Return findings on the single timings of runs, the worst run of each kind first."""
+    """Turn late timings of runs into findings, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
     by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(
         found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
@@ -112,9 +112,9 @@ def judge_times(
     requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Return the findings on the algorithmic times of replays, and figures of the verdict."""
+    """Judge replays' step times by the requirements; return findings and figures."""
     findings: list[Finding] = []
-    figures: list[_Figures] = []
+    figures: list[_ReplayTimes] = []
     for run in replays:
         if run.remembers:
             findings.append(Finding("remembered", (run,)))
@@ -123,7 +123,7 @@ def judge_times(
             continue
         times = records.times(run)
         if times is not None:
-            figures.append(_Figures.of(run, times))
+            figures.append(_ReplayTimes.of(run, times))
             findings += _check_limits(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
@@ -147,7 +147,7 @@ def judge_times(
 
 
 def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
-    """Return the p99 of the algorithmic times of a replay [ns]; NaN where it is not supported.
+    """Return the p99 of a replay's algorithmic step times [ns]; NaN for too few steps.
 
     A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
     slower than its p99, and those are in the window.
@@ -159,8 +159,8 @@ def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class _Figures:
-    """Times of one replay [ns]; NaN for a percentile that its steps do not support."""
+class _ReplayTimes:
+    """Percentiles and extremes of one replay's step times [ns]; NaN if unsupported."""
 
     run: RunRecord
     p50_ns: float
@@ -171,7 +171,8 @@ class _Figures:
     rounds_ns: tuple[float, float]
 
     @classmethod
-    def of(cls, run: RunRecord, times: StepTimes) -> _Figures:
+    def of(cls, run: RunRecord, times: StepTimes) -> _ReplayTimes:
+        """Compute the percentiles and extremes of one replay's step times."""
         algo, rounds = times.algo_ns, times.rounds_ns
         p95, p99 = percentile(algo, 95), p99_ns(run, algo)
         ends = float(rounds.min()), float(rounds.max())
@@ -179,9 +180,9 @@ class _Figures:
 
 
 def _check_limits(
-    figures: _Figures, algo_ns: Floats, requirements: Requirements, factor: float
+    figures: _ReplayTimes, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Compare the times of one replay with the limits, within a factor of uncertainty."""
+    """Compare a replay's times with p99 limit and deadline, within their uncertainty."""
     run, findings = (figures.run,), list[Finding]()
     if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))

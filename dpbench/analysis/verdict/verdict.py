@@ -26,7 +26,7 @@ from dpbench.analysis.verdict.findings import (
     OWN_DOING,
     Finding,
     State,
-    worst_first,
+    finding_on_worst,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import largest_known
@@ -36,10 +36,8 @@ from dpbench.solvers.record import POLICIES
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on one configuration.
+    """Verdict on one configuration: its state, the reasons, times and errors.
 
-    Parameters
-    ----------
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
@@ -80,17 +78,17 @@ class Verdict:
 
     @property
     def p99_on(self) -> str:
-        """Sequence of `p99_ns`; "" where nothing was timed."""
+        """Name of the sequence with the largest p99; "" where nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
-    def ranks(self) -> bool:
-        """True if it is timed and nothing is against it; a kind of run the suite lacks is not."""
+    def is_rankable(self) -> bool:
+        """True if the configuration was timed and nothing speaks against it."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Doubts, times near a limit, gaps and missing kinds of run: why it does not pass."""
+        """Findings that keep it from passing: doubts, near limits, gaps, runs not made."""
         no_loop = () if self.loops else (Finding("no closed loop"),)
         no_replay = () if self.replays or self.windows else (Finding("no replay"),)
         return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
@@ -98,29 +96,27 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """The verdicts on a result folder: of each solver, its reference first."""
+    """Verdicts on all configurations of a result folder, by solver."""
 
     requirements: Requirements
     of: Mapping[str, Sequence[Verdict]]
 
     @property
     def references(self) -> list[Verdict]:
-        """The verdict on each solver's reference, in the order of the suite."""
+        """Verdict on each solver's reference configuration, in suite order."""
         return [verdicts[0] for verdicts in self.of.values()]
 
     @property
     def all(self) -> list[Verdict]:
-        """The verdicts on all configurations."""
+        """Verdicts on all configurations of all solvers, in one list."""
         return [verdict for verdicts in self.of.values() for verdict in verdicts]
 
 
-def verdicts_of(
+def judge_solvers(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """Return the verdicts on all configurations of all solvers, in the order of the suite.
+    """Judge all configurations of all solvers by the requirements, in suite order.
 
-    Parameters
-    ----------
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
     runs = records.runs if among is None else among
@@ -132,20 +128,20 @@ def verdicts_of(
         ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
-            verdict_of(records, configuration, runs, asked, requirements)
+            judge_configuration(records, configuration, runs, asked, requirements)
             for configuration, runs in ordered
         ]
     return Verdicts(requirements, verdicts)
 
 
 def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Return the longest run of each scenario and replay."""
+    """Return the longest run of each scenario and of each replay."""
     alike = group_by(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
 def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
-    """Sort key of a solver's reference: usual settings that ran, both modes, own route."""
+    """Return a sort key that puts a solver's reference configuration first."""
     ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
     default = any(run.default_route for run in runs)
@@ -157,30 +153,30 @@ def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> t
     )
 
 
-def verdict_of(
+def judge_configuration(
     records: Records,
     configuration: Configuration,
     runs: Sequence[RunRecord],
     asked: Sequence[RunRecord],
     requirements: Requirements,
 ) -> Verdict:
-    """Return the verdict on one configuration.
+    """Judge one configuration by its runs and the requirements.
 
-    Parameters
-    ----------
     runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
     ran = [run for run in runs if run.outcome != "refused"]
     if not ran:
         return Verdict(configuration, "not run", refusal=outcome_cause(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    late_timings, uncertainty = time_findings.time_evidence(records, requirements)
+    late_timings, uncertainty = time_findings.late_timing_evidence(records, requirements)
     times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
     times += time_findings.find_slow_loops(ran, requirements, uncertainty)
     times += time_findings.report_late_timings(ran, late_timings)
     times += time_findings.find_hidden_work(ran)
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_find_wrong(ran, requirements), *_find_ended(ran), *late]
+    own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
+    ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
+    causes = [*_find_wrong_answers(ran, requirements), *ended, *late]
     doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
@@ -194,7 +190,7 @@ def verdict_of(
         windows=sum(run.window_of > 0 for run in replays),
         steps=sum(_count_judged_steps(run) for run in ran),
         error_move=largest_known([run.error_move_max for run in ran]),
-        failed_steps=sum(_count(run.failed_steps) for run in ran),
+        failed_steps=sum(_count_or_zero(run.failed_steps) for run in ran),
         **figures,
     )
 
@@ -202,7 +198,7 @@ def verdict_of(
 def _overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
 ) -> State:
-    """Return the state of findings, and of how many modes, loop and replay, were run."""
+    """Return the verdict that follows from causes, doubts and times near a limit."""
     if causes:
         return "late" if all(cause.kind in LATE for cause in causes) else "fail"
     if doubts or modes < 2:
@@ -211,23 +207,23 @@ def _overall_state(
 
 
 def outcome_cause(run: RunRecord) -> str:
-    """Return the cause of a run's outcome, in the library's or the harness's words."""
+    """Return why a run ended as it did, in the library's or the harness's words."""
     return run.cause or "no reason was recorded"
 
 
-def _count(count: float) -> int:
-    """Return a count; a missing one is 0."""
+def _count_or_zero(count: float) -> int:
+    """Convert a count to an integer; a missing one (NaN) is 0."""
     return int(count) if math.isfinite(count) else 0
 
 
 def _count_judged_steps(run: RunRecord) -> int:
-    """Return the steps with a judged answer; a replay counts those without per round."""
-    without = _count(run.uncertified) + _count(run.undecided_steps)
-    return max(0, run.steps_done - without // max(1, _count(run.rounds)))
+    """Return how many steps of a run have an answer that was judged."""
+    without = _count_or_zero(run.uncertified) + _count_or_zero(run.undecided_steps)
+    return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
 
 
 def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Find where the reference was run and these runs were not, or not as far."""
+    """Find runs of the solver's reference that a configuration lacks or cut short."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
@@ -242,8 +238,8 @@ def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Fi
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _find_wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
-    """Find answers too far from the optimum, steps without one, and failed steps."""
+def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    """Find runs with inaccurate answers, without an answer, or with failed steps."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
@@ -251,19 +247,13 @@ def _find_wrong(runs: Sequence[RunRecord], requirements: Requirements) -> list[F
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     return [
         *no_answer,
-        *worst_first("inaccurate", wrong, lambda run: run.error_move_max),
-        *worst_first("failed", failing, lambda run: run.failed_steps),
+        *finding_on_worst("inaccurate", wrong, lambda run: run.error_move_max),
+        *finding_on_worst("failed", failing, lambda run: run.failed_steps),
     ]
 
 
-def _find_ended(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs that the solver ended, or never came back from."""
-    ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
-    return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
-
-
 def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs that ended early or could not be judged."""
+    """Find the runs that stopped early or have steps without a certified optimum."""
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned
@@ -278,6 +268,6 @@ def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
             doubts.append(Finding("lost", (run,)))
         elif run.outcome != "finished":
             doubts.append(Finding("ended", (run,)))
-        elif _count(run.uncertified):
-            doubts.append(Finding("uncertified", (run,), value=_count(run.uncertified)))
+        elif _count_or_zero(run.uncertified):
+            doubts.append(Finding("uncertified", (run,), value=_count_or_zero(run.uncertified)))
     return doubts

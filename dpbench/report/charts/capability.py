@@ -26,8 +26,8 @@ _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
 
-def draw_rose(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest wind held by direction: ahead is up, a line a case, rings are DP numbers.
+def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
+    """Draw the largest wind held by direction, a line per failure case.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
@@ -49,8 +49,8 @@ def draw_rose(table: pd.DataFrame, title: str) -> Any:
     spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
     bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
     web = [
-        _draw_lines(rings, place).encode(detail="n:N", order="i:Q"),
-        _draw_lines(spokes, place).encode(detail="spoke:N"),
+        _draw_web_lines(rings, place).encode(detail="n:N", order="i:Q"),
+        _draw_web_lines(spokes, place).encode(detail="spoke:N"),
         *_draw_ring_names(place, closed),
         alt.Chart(pd.DataFrame(bearings))
         .mark_text(color=style.INK, fontSize=12)
@@ -61,7 +61,7 @@ def draw_rose(table: pd.DataFrame, title: str) -> Any:
         "DP capability numbers."
     )
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
-    chart = style.apply(layers, title, about)
+    chart = style.set_style(layers, title, about)
     chart.title.subtitle = [
         "by where wind, waves and current come from;",
         "rings: DP capability numbers",
@@ -74,10 +74,11 @@ Place = dict[str, Any]
 
 
 def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
+    """Draw the wind held by direction as points, hollow where claims are untrue."""
     tooltips = [
         "case:N",
-        style.tip("from_deg:Q", "from [°]"),
-        style.tip("wind_mps:Q", "wind held [m/s]", 3),
+        style.tooltip("from_deg:Q", "from [°]"),
+        style.tooltip("wind_mps:Q", "wind held [m/s]", 3),
         alt.Tooltip("number:Q", title="DP capability number"),
     ]
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)
@@ -96,24 +97,26 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
 
 
 def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
-    """Return the coordinates of a wind (…) from a direction (…): ahead is up."""
+    """Return x and y of a wind speed from a direction [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 
 
 def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a case with the first one again at the end."""
+    """Return a failure case's rows with the first one again at the end."""
     ring = pd.concat([case, case.iloc[:1]])
     places = _coordinates(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
     return ring.assign(**places, i=range(len(ring)))
 
 
-def _draw_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
+def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
+    """Draw rings or spokes of the rose as thin lines."""
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
 
 def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
+    """Draw the DP capability number of each ring where it is not covered."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
@@ -123,7 +126,7 @@ def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
 
 
 def _find_clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
-    """Return where each ring (R,) is named: in one direction good for most, else its own best."""
+    """Return the direction [°] in which each ring (R,) is named, off the curves."""
     held = np.array(
         [
             np.interp(_BETWEEN_DEG, case["from_deg"], case["wind_mps"], period=360.0)
@@ -147,8 +150,8 @@ _LOOKS = {
 }
 
 
-def answers(table: pd.DataFrame, title: str) -> Any:
-    """Draw, for each solver, the shares of the QPs at the edge by kind of answer.
+def draw_answer_shares(table: pd.DataFrame, title: str) -> Any:
+    """Draw the share of each solver's answers to QPs at the edge, by kind.
 
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
@@ -166,7 +169,7 @@ def answers(table: pd.DataFrame, title: str) -> Any:
         tooltip=["solver:N", "answer:N", "qps:Q"],
     )
     about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
-    return style.apply(chart.properties(width=250, height=alt.Step(17)), title, about)
+    return style.set_style(chart.properties(width=250, height=alt.Step(17)), title, about)
 
 
 _STATES = {HELD: style.PASS, LOST: style.FAIL, UNKNOWN: style.INCONCLUSIVE}
@@ -174,8 +177,8 @@ _NAMED = 0.45
 """Least share of the whole axis of a span that has room for the name of its state."""
 
 
-def spans(table: pd.DataFrame, title: str) -> Any:
-    """Draw a bar over time for each group, coloured and named by state.
+def draw_loss_spans(table: pd.DataFrame, title: str) -> Any:
+    """Draw a bar over time for each failure group: when its loss can be held.
 
     table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
     """
@@ -186,10 +189,10 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     )
     present = {state: hue for state, hue in _STATES.items() if state in set(table["state"])}
     groups = list(dict.fromkeys(table["group"]))
-    ends = style.tip("from_s:Q", "from [s]"), style.tip("to_s:Q", "to [s]")
+    ends = style.tooltip("from_s:Q", "from [s]"), style.tooltip("to_s:Q", "to [s]")
     base = alt.Chart(table).encode(
         y=style.named_rows("group", groups, ticks=False, domain=False),
-        tooltip=[style.tip("group:N", "lost"), "state:N", *ends],
+        tooltip=[style.tooltip("group:N", "lost"), "state:N", *ends],
     )
     time = alt.Scale(domain=[float(first), float(last)], nice=False)
     colour = style.colour("state", present, present.values(), symbolType="square")
@@ -203,14 +206,14 @@ def spans(table: pd.DataFrame, title: str) -> Any:
     )
     chart = alt.layer(bars, words, width=250, height=alt.Step(26))
     about = "For each failure group, when the thrusters that remain could hold the ship."
-    return style.apply(chart, title, about)
+    return style.set_style(chart, title, about)
 
 
 _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
 
 
-def shares(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest share of the sample that the QPs of one sample take, a mark each.
+def draw_sample_shares(table: pd.DataFrame, title: str) -> Any:
+    """Draw the largest share of a sample that each solver takes for a batch of QPs.
 
     table : columns name, percent and right, in the order of the marks.
     """
@@ -227,10 +230,10 @@ def shares(table: pd.DataFrame, title: str) -> Any:
         color=style.colour("answers", kinds, colours),
         shape=alt.Shape("answers:N", scale=style.names_scale(kinds, shapes)),
         tooltip=[
-            style.tip("name:N", "configuration"),
-            style.tip("percent:Q", "share [%]", 2),
+            style.tooltip("name:N", "configuration"),
+            style.tooltip("percent:Q", "share [%]", 2),
             "answers:N",
         ],
     )
     about = "For each solver the largest share of a sample that the QPs of all groups take."
-    return style.apply(chart.properties(width=190, height=alt.Step(18)), title, about)
+    return style.set_style(chart.properties(width=190, height=alt.Step(18)), title, about)

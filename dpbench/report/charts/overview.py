@@ -28,8 +28,8 @@ _HEADER = alt.Header(
 )
 
 
-def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
-    """Draw a tile for every solver and experiment by settings level, `stacked` for a narrow screen.
+def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
+    """Draw a tile of the verdict for every solver, experiment and settings level.
 
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
     `usermeta` has `tall`.
@@ -51,8 +51,8 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
     titles = {"experiment": "in", "verdict": "verdict"}
     titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
-    titled = (style.tip(f"{field}:N", title) for field, title in titles.items())
-    tips = ["solver:N", style.tip("call_mode:N", "call mode"), "settings:N", *titled]
+    titled = (style.tooltip(f"{field}:N", title) for field, title in titles.items())
+    tips = ["solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled]
     base = (
         alt.Chart()
         .transform_calculate(
@@ -88,7 +88,7 @@ def matrix(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
-    return style.apply(chart, "Verdicts by scenario and replay", about)
+    return style.set_style(chart, "Verdicts by scenario and replay", about)
 
 
 POINT_COLUMNS = (
@@ -102,14 +102,14 @@ _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Three legends are side by side on a phone."""
 _FIGURES = (
     "verdict:N",
-    style.tip("error:Q", digits=2),
-    style.tip("p50_us:Q", "p50 [µs]"),
-    style.tip("p99_us:Q", "p99 [µs]"),
+    style.tooltip("error:Q", digits=2),
+    style.tooltip("p50_us:Q", "p50 [µs]"),
+    style.tooltip("p99_us:Q", "p99 [µs]"),
 )
 
 
-def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
-    """Draw step time against largest error; lines join the settings of a solver.
+def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
+    """Draw the step time against the largest error, a line joining a solver's settings.
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
@@ -139,15 +139,19 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
             tooltip=["solver:N", "settings:N", "route:N", "policy:N", *_FIGURES],
         )
     )
-    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(percentile, style.narrow(), pick)
-    filled = style.below(columns=_LEGEND_COLUMNS, symbolFillColor=style.INK, symbolOpacity=1.0)
+    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(
+        percentile, style.narrow_flag(), pick
+    )
+    filled = style.legend_below(
+        columns=_LEGEND_COLUMNS, symbolFillColor=style.INK, symbolOpacity=1.0
+    )
     dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
         stroke=alt.Stroke(
             "family:N", scale=style.names_scale(families, families.values()), legend=None
         ),
         fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
         shape=alt.Shape("settings:N", title=None, legend=filled),
-        size=style.choose(pick, 190, 70),
+        size=style.value_if(pick, 190, 70),
     )
     named = (
         base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
@@ -155,10 +159,10 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
         .mark_point(filled=True, opacity=0, size=110)
         .properties(name=style.NAMES)
     )
-    return style.apply(
+    return style.set_style(
         alt.layer(
             lines,
-            style.limit_rule(error_limit),
+            style.draw_limit_rule(error_limit),
             dots,
             named,
             _draw_opacity_legend(),
@@ -171,11 +175,11 @@ def accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
 
 def _draw_opacity_legend() -> Any:
-    """Draw the legend of the filling from invisible points: Vega has none of its own."""
+    """Draw the legend of filled points from invisible ones."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
-    legend = style.below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
-    unseen = style.inline(*({"look": look} for look in _LEGEND)).mark_point(
+    legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
+    unseen = style.inline_chart(*({"look": look} for look in _LEGEND)).mark_point(
         filled=True, size=0, opacity=0, aria=False
     )
     return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="verdict", legend=legend))
@@ -190,15 +194,15 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 
 
 def _verdict_expression() -> str:
-    """Return the expression of the verdict on the slower computer: late beyond the speed margin."""
+    """Return the Vega expression of the verdict on a slower computer."""
     good = " || ".join(
         f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
     )
     return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict"
 
 
-def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """Draw p50, p99, hardest step and largest single timing of each solver against the deadline.
+def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
+    """Draw each solver's p50, p99, hardest step and largest timing to the deadline.
 
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
@@ -208,8 +212,12 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """
     base = _scale_rows(table)
     x = _time_axis(table, deadline_ms)
-    parts = (*_draw_click_areas(base), *_draw_times(base, x), *_draw_limits(deadline_ms, p99_ms))
-    return style.apply(
+    parts = (
+        *_draw_click_areas(base),
+        *_draw_time_bars(base, x),
+        *_draw_limits(deadline_ms, p99_ms),
+    )
+    return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
         "How close to the deadline",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
@@ -217,6 +225,7 @@ def ladder(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
 
 
 def _scale_rows(table: pd.DataFrame) -> alt.Chart:
+    """Return the chart base with a row per solver, times multiplied by the slow-down."""
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
@@ -229,21 +238,21 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
     )
     times = (("a", "p50"), ("c", "p99, worst scenario"), ("m", "hardest step"))
     tips = [
-        style.tip("label:N", "configuration"),
-        style.tip("computer:N", "computer slower"),
-        style.tip("now:N", "verdict there"),
-        *(style.tip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        style.tip("replay_p99_ms:Q", "p99, whole replay, as measured [ms]", 3),
-        style.tip("raw_p99_ms:Q", "p99 of single timings there [ms]", 3),
-        style.tip("timing:N", "largest single timing [ms]"),
-        style.tip("margin:Q", "speed margin ×", 3),
+        style.tooltip("label:N", "configuration"),
+        style.tooltip("computer:N", "computer slower"),
+        style.tooltip("now:N", "verdict there"),
+        *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
+        style.tooltip("replay_p99_ms:Q", "p99, whole replay, as measured [ms]", 3),
+        style.tooltip("raw_p99_ms:Q", "p99 of single timings there [ms]", 3),
+        style.tooltip("timing:N", "largest single timing [ms]"),
+        style.tooltip("margin:Q", "speed margin ×", 3),
     ]
-    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_names())
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
     return scaled.encode(y=y, tooltip=tips)
 
 
 def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
-    """Return an axis to ten times the deadline, or on to the slowest time there."""
+    """Return a logarithmic time axis to ten times the deadline or the slowest time."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
     high = max(10.0 * deadline_ms, 1.0)
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
@@ -260,16 +269,16 @@ def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
 
 
 def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
-    """Draw the areas that take clicks, and the mark of the chosen row."""
+    """Draw a row's area that takes clicks, and the mark of the chosen row."""
     pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
-    clicked = style.whole_rows(base, alt.Undefined, opacity=0.0)
-    yield clicked.add_params(factor, style.narrow(), pick)
-    yield style.whole_rows(base, style.choose(pick, 0.25, 0.0), color=style.ACCENT)
+    clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0)
+    yield clicked.add_params(factor, style.narrow_flag(), pick)
+    yield style.draw_whole_rows(base, style.value_if(pick, 0.25, 0.0), color=style.ACCENT)
 
 
-def _draw_times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """Draw the call overhead, whisker, line, bar and marker of each row."""
+def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
+    """Draw the call overhead, whisker, line, bar and marker of each solver."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
@@ -288,7 +297,7 @@ def _draw_times(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """Draw deadline and p99 limit with their names, and the remark on the whiskers below."""
+    """Draw the deadline and the p99 limit with their names."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),
@@ -309,6 +318,6 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
         yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
             x=f"{name}:Q", y=alt.value("height"), text="text:N"
         )
-    whiskers = style.inline({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
+    whiskers = style.inline_chart({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
     place: dict[str, Any] = {"x": alt.value(0), "y": alt.value("height")}
     yield whiskers.encode(**place, text="said:N").transform_calculate(said=_JITTER)

@@ -25,7 +25,7 @@ _NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])
 
 
 class _ChartKey:
-    """Compare and hash a chart by identity, so that it can be a cache key."""
+    """Cache key that compares and hashes a chart by identity."""
 
     def __init__(self, chart: Any) -> None:
         self.chart = chart
@@ -37,15 +37,15 @@ class _ChartKey:
         return isinstance(other, _ChartKey) and other.chart is self.chart
 
 
-def vega(chart: Any) -> dict[str, Any]:
-    """Compile the chart to Vega without its title, which the page has above it."""
+def compile_vega(chart: Any) -> dict[str, Any]:
+    """Compile a chart to Vega without its title."""
     compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
-def svg(chart: Any, *, titled: bool = True) -> str:
-    """Return the figure as SVG with real text."""
-    return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(vega(chart)))
+def render_svg(chart: Any, *, titled: bool = True) -> str:
+    """Render a chart as SVG, with real text."""
+    return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(compile_vega(chart)))
 
 
 PROBE = """
@@ -60,7 +60,7 @@ NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (
 
 @cache
 def can_draw() -> bool:
-    """Return whether the renderer has enough address space; try it apart if that is limited."""
+    """Return whether the chart renderer has enough address space."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return True
@@ -74,7 +74,7 @@ _svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
 @lru_cache(maxsize=64)
 def _compile_chart(chart: _ChartKey) -> str:
-    """Compile a chart to Vega, with labels that avoid each other, which Vega-Lite cannot state."""
+    """Compile a chart to Vega JSON, with labels that avoid each other."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
     # The tests validate every figure against the grammar, which takes longer than drawing it.
@@ -89,7 +89,7 @@ def _compile_chart(chart: _ChartKey) -> str:
 
 
 def _label_mark() -> dict[str, Any]:
-    """Return the mark of the labels of the layer `NAMES`."""
+    """Return the Vega mark of solver names beside points, where there is room."""
     place = {
         "type": "label",
         "size": {"signal": "[width, height]"},
@@ -114,27 +114,27 @@ def _label_mark() -> dict[str, Any]:
 
 
 def encode_figure(chart: Any, kind: str) -> bytes:
-    """Return the figure as a file of a kind of `FORMATS`, or as a self-contained HTML page."""
+    """Encode a chart as SVG, PDF, PNG or self-contained HTML."""
     if kind == "html":
         page = io.StringIO()
         chart.save(page, format="html", inline=True)
         return page.getvalue().encode()
     if kind == "svg":
-        return svg(chart).encode()
+        return render_svg(chart).encode()
     drawn = _compile_chart(_ChartKey(chart))
     made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
     return made
 
 
-def save(chart: Any, path: Path) -> Path:
-    """Write the figure in the format that the name of the file ends with, as `encoded` does."""
+def save_figure(chart: Any, path: Path) -> Path:
+    """Write a chart to a file, in the format of its ending."""
     write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 
 @cache
 def _newest_grammar() -> str:
-    """Return the newest version of the grammar that the compiler has, up to that of the charts."""
+    """Return the newest Vega-Lite version that compiler and charts both have."""
     wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
     known = list(vlc.get_vegalite_versions())
     return wanted if wanted in known else max(known, key=lambda v: [int(x) for x in v.split(".")])

@@ -25,8 +25,8 @@ MOST_TOGETHER = 4800
 """Points of all runs in a figure: a notebook refuses tables of more than 5000 rows."""
 
 
-def path(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Figure 4: the ship's path in the north-east plane with the 1 m circle, axes alike."""
+def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Draw the ship's path in the north-east plane with the 1 m circle (Figure 4)."""
     tables = []
     for law in laws:
         thin = law.steps.iloc[:: len(law.steps) // _points_per_run(laws) + 1]
@@ -49,47 +49,48 @@ def path(laws: Sequence[Law], scenario: Scenario) -> Any:
         .encode(x=x, y=y, order="i:Q")
     )
     look = style.names_scale(kinds, ("circle", "cross"))
-    shape = alt.Shape("what:N", title=None, scale=look, legend=style.below(columns=1))
+    shape = alt.Shape("what:N", title=None, scale=look, legend=style.legend_below(columns=1))
     marks = alt.Chart(points).mark_point(filled=True, size=70, color=style.INK)
     marks = marks.encode(x=x, y=y, shape=shape)
     chart = alt.layer(ring, lines, marks, width=285, height=285)
-    return style.apply(chart, "Path of the ship", "Path of the ship under each control law.")
+    return style.set_style(chart, "Path of the ship", "Path of the ship under each control law.")
 
 
-def precision(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Figure 5: north, east and heading error, and the radial error, against time."""
+def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Draw the north, east, heading and radial error over time (Figure 5)."""
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
-        table = _long_table(
+        table = _law_time_series(
             laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
         )
         log = name == "radial"
         if log:
             # A zero has no place on a log axis; a micrometre is below anything of interest.
             table["value"] = table["value"].clip(lower=1e-6)
-        panel = _draw_lines(table, laws, f"{name} [{unit}]", last=log, log=log)
+        panel = _draw_law_lines(table, laws, f"{name} [{unit}]", last=log, log=log)
         if log:
             panel = alt.layer(panel, _draw_limits((CIRCLE_M,)))
         panels.append(panel)
     wording = "North, east, heading and radial error against time."
-    return style.apply(_stack_panels(panels), "Errors of position and heading", wording)
+    return style.set_style(_stack_panels(panels), "Errors of position and heading", wording)
 
 
-def forces(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Figure 6: the force applied in each axis, with its amplitude limits."""
+def draw_forces(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Draw the applied force in each axis with its limits (Figure 6)."""
     panels = _draw_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
-    return style.apply(panels, "Forces", "Force applied in each axis, with its limits.")
+    return style.set_style(panels, "Forces", "Force applied in each axis, with its limits.")
 
 
-def increments(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Figure 7: the change of the force in each step, with the rate limits."""
+def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
+    """Draw the change of force in each step with the rate limits (Figure 7)."""
     most = scenario.force_step_max
     panels = _draw_axes(laws, "dtau", "Δ", -most, most)
-    return style.apply(panels, "Increments", "Change of the force in each step, with its limits.")
+    about = "Change of the force in each step, with its limits."
+    return style.set_style(panels, "Increments", about)
 
 
 def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
-    """Draw a panel for each axis, with limits (3,)."""
+    """Draw a panel of force or increment for each axis, with limits (3,)."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         title = f"{sign}{name} [{shown}]"
@@ -100,18 +101,21 @@ def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: V
 def _draw_force(
     laws: Sequence[Law], column: str, scale: float, title: str, limits: Sequence[float]
 ) -> Any:
-    table = _long_table(laws, lambda law: law.steps[column].to_numpy() / scale)
+    """Draw the force in one axis over time, with its limits or a note on them."""
+    table = _law_time_series(laws, lambda law: law.steps[column].to_numpy() / scale)
     reach = float(np.abs(table["value"]).max())
     near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
     # Limits far off are said, as a figure without them looks as if there were none.
     far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
     corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
     note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
-    beside = _draw_limits(near) if near else style.inline({}).properties(mark=note).encode(**corner)
-    return alt.layer(_draw_lines(table, laws, title, last="yaw" in title), beside)
+    words = style.inline_chart({}).properties(mark=note).encode(**corner)
+    lines = _draw_law_lines(table, laws, title, last="yaw" in title)
+    return alt.layer(lines, _draw_limits(near) if near else words)
 
 
-def _long_table(laws: Sequence[Law], value: Any) -> pd.DataFrame:
+def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
+    """Tabulate a quantity over time for each control law, thinned for drawing."""
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
@@ -125,9 +129,10 @@ def _points_per_run(laws: Sequence[Law]) -> int:
     return min(MOST, MOST_TOGETHER // len(laws))
 
 
-def _draw_lines(
+def _draw_law_lines(
     table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
 ) -> Any:
+    """Draw one quantity over time, a line per control law."""
     scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(table)
@@ -143,27 +148,31 @@ def _draw_lines(
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
+    """Draw dashed horizontal lines at limits."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _stack_panels(panels: Sequence[Any]) -> Any:
+    """Stack panels vertically on a common time axis."""
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*panels, spacing=4, resolve=shared)
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
+    """Return the colour channel by control law."""
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
+    """Return the line dash channel by control law."""
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)
 
 
 def _equal_axes(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
-    """Return axes of equal scale around all points."""
+    """Return east and north axes of equal scale around all points."""
     middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
     half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
 

@@ -16,8 +16,8 @@ _HELD = "share of seas held"
 _CHOSEN = "datum.chosen"
 
 
-def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Draw the share of seas held over two keys, a map a configuration.
+def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
+    """Draw the share of seas held over two keys, a map per configuration.
 
     table : columns configuration, x, y, held and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
@@ -32,34 +32,34 @@ def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -
         "held:Q",
         title=_HELD,
         scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
-        legend=style.below(format=".0%", gradientLength=160),
+        legend=style.legend_below(format=".0%", gradientLength=160),
     )
     held = alt.Tooltip("held:Q", format=".0%")
-    tips = ["configuration:N", style.tip("x:N", x), style.tip("y:N", y), held, "runs:Q"]
+    tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), held, "runs:Q"]
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
     each = alt.Facet("configuration:N", title=None, sort=names)
-    return style.apply(
+    return style.set_style(
         marks.properties(width=size, height=size).facet(each, columns=3), title, title
     )
 
 
-def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Share of seas held over one key, a line a configuration; of columns as `held_maps`."""
+def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
+    """Draw the share of seas held over one key, a line per configuration."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
         x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
         y=alt.Y("held:Q", title=_HELD, **share),
-        color=alt.Color("configuration:N", title=None, legend=style.below()),
-        tooltip=["configuration:N", style.tip("x:Q", x), style.tip("held:Q")],
+        color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
+        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("held:Q")],
     )
-    return style.apply(chart.properties(width=290, height=180), title, title)
+    return style.set_style(chart.properties(width=290, height=180), title, title)
 
 
-def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """Draw the excess error of each configuration: a dot a sea, the mean and its interval.
+def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
+    """Draw each configuration's excess error: a dot per sea, mean and interval.
 
     table : name and `mean_cm`, in the order of the rows.
     seas : name, error_excess_cm, point, replicate.
@@ -68,30 +68,30 @@ def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float)
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error behind the reference, same sea [cm]"
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
-    behind_it = style.tip("error_excess_cm:Q", "behind [cm]")
+    behind_it = style.tooltip("error_excess_cm:Q", "behind [cm]")
     dots = dots.encode(
         x="error_excess_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
-    bars, means = _draw_means(alt.Chart(table))
+    bars, means = _draw_mean_errors(alt.Chart(table))
     parts = (
-        _draw_band(small_cm, alt.X("low:Q", title=across)),
+        _draw_small_error_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
     )
-    return style.apply(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
+    return style.set_style(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
 
 
 _MEAN_TIPS = (
-    style.tip("mean_cm:Q", "mean [cm]"),
-    style.tip("low_cm:Q", "from [cm]"),
-    style.tip("high_cm:Q", "to [cm]"),
+    style.tooltip("mean_cm:Q", "mean [cm]"),
+    style.tooltip("low_cm:Q", "from [cm]"),
+    style.tooltip("high_cm:Q", "to [cm]"),
     alt.Tooltip("pairs:Q", title="seas"),
 )
 
 
-def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """Draw the intervals of the means, and the means."""
+def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
+    """Draw the mean excess errors and their intervals."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"
@@ -99,13 +99,14 @@ def _draw_means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     return bars, means
 
 
-def _draw_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    ends = style.inline({"low": -small_cm, "high": small_cm})
+def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
+    """Draw a band over the differences that are too small to matter."""
+    ends = style.inline_chart({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
 
-def design(*, tiles: bool) -> Any:
-    """Draw the points of a design by seas held, as tiles with counts or at their values.
+def draw_study_points(*, tiles: bool) -> Any:
+    """Draw the points of a study by share of seas held, as tiles or at their values.
 
     The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
     """
@@ -115,10 +116,10 @@ def design(*, tiles: bool) -> Any:
     y = alt.Y(f"y:{kind}", title="up", sort="descending" if tiles else alt.Undefined)
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
-    tips = [style.tip("values:N", "point"), style.tip("said:N", "seas held")]
-    ring: dict[str, Any] = {"stroke": style.choose(_CHOSEN, style.ACCENT, style.PAPER)}
-    ring["strokeWidth"] = style.choose(_CHOSEN, 3, 1)
-    base = style.inline(name="design").encode(x=x, y=y, tooltip=tips)
+    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "seas held")]
+    ring: dict[str, Any] = {"stroke": style.value_if(_CHOSEN, style.ACCENT, style.PAPER)}
+    ring["strokeWidth"] = style.value_if(_CHOSEN, 3, 1)
+    base = style.inline_chart(name="design").encode(x=x, y=y, tooltip=tips)
     title = "within the radius"
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
@@ -133,47 +134,47 @@ def design(*, tiles: bool) -> Any:
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
-    return style.apply(chart, "Seas held", "Share of seas held at each point of the design.")
+    return style.set_style(chart, "Seas held", "Share of seas held at each point of the design.")
 
 
-def behind_there(small_cm: float) -> Any:
-    """Draw the excess errors at the chosen point, and the means over all points.
+def draw_point_errors(small_cm: float) -> Any:
+    """Draw the excess errors at a chosen point, and the means over all points.
 
     The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, error_excess_cm,
     replicate, chosen).
     """
-    who = style.tip("name:N", "configuration")
-    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_names())
-    means = style.inline(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
-    seas = style.inline(name="seas").mark_point(filled=True)
+    who = style.tooltip("name:N", "configuration")
+    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_name_axis())
+    means = style.inline_chart(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
+    seas = style.inline_chart(name="seas").mark_point(filled=True)
     seas = seas.encode(
         x=alt.X("error_excess_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
-        color=style.choose(_CHOSEN, style.FAIL, style.SOFT),
-        size=style.choose(_CHOSEN, 90, 28),
-        opacity=style.choose(_CHOSEN, 1.0, 0.6),
+        color=style.value_if(_CHOSEN, style.FAIL, style.SOFT),
+        size=style.value_if(_CHOSEN, 90, 28),
+        opacity=style.value_if(_CHOSEN, 1.0, 0.6),
         tooltip=[
             who,
             alt.Tooltip("replicate:Q", title="sea"),
-            style.tip("error_excess_cm:Q", "behind [cm]"),
+            style.tooltip("error_excess_cm:Q", "behind [cm]"),
         ],
     )
-    marked = style.whole_rows(
-        means, style.choose(_CHOSEN, 0.2, 0.0), color=style.ACCENT
-    ).add_params(style.narrow())
-    parts = (_draw_band(small_cm, opacity=0.6), marked, *_draw_means(means), seas)
+    marked = style.draw_whole_rows(
+        means, style.value_if(_CHOSEN, 0.2, 0.0), color=style.ACCENT
+    ).add_params(style.narrow_flag())
+    parts = (_draw_small_error_band(small_cm, opacity=0.6), marked, *_draw_mean_errors(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
-    return style.apply(chart, "Behind the reference", about)
+    return style.set_style(chart, "Behind the reference", about)
 
 
-def seas_there() -> Any:
-    """Draw the largest radial error in each sea of the chosen point, chosen against reference.
+def draw_point_seas() -> Any:
+    """Draw the largest radial error in each sea of a chosen point, with the reference.
 
     The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """
     radius = (
-        style.inline(name="radius")
+        style.inline_chart(name="radius")
         .mark_rule(color=style.FAIL, strokeDash=[4, 3])
         .encode(y="limit:Q")
     )
@@ -181,20 +182,20 @@ def seas_there() -> Any:
     apart = alt.Scale(zero=False, padding=10)
     whole = alt.Axis(format="d", tickMinStep=1)
     x = alt.X("order:Q", title="seas of this point, the calmest first", scale=apart, axis=whole)
-    dots = style.inline(name="there").mark_point(opacity=1)
+    dots = style.inline_chart(name="there").mark_point(opacity=1)
     dots = dots.encode(
         x=x,
         y=alt.Y("value:Q", title="largest radial error, second half [m]"),
         color=style.colour("who", who, (style.ACCENT, style.SOFT)),
         shape=alt.Shape("who:N", scale=style.names_scale(who, ("circle", "cross"))),
-        size=style.choose(_CHOSEN, 170, 45),
-        strokeWidth=style.choose(_CHOSEN, 3, 1.5),
+        size=style.value_if(_CHOSEN, 170, 45),
+        strokeWidth=style.value_if(_CHOSEN, 3, 1.5),
         tooltip=[
-            style.tip("who:N", "configuration"),
+            style.tooltip("who:N", "configuration"),
             alt.Tooltip("replicate:Q", title="sea"),
-            style.tip("value:Q", "largest radial error [m]"),
+            style.tooltip("value:Q", "largest radial error [m]"),
         ],
     )
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
-    return style.apply(chart, "The seas of one point", about)
+    return style.set_style(chart, "The seas of one point", about)

@@ -40,9 +40,9 @@ def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
 def colour(
     field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
 ) -> alt.Color:
-    """Return a colour channel by name, with a legend `below`."""
+    """Return a colour channel by name, with a legend below the figure."""
     scale = names_scale(names, colours)
-    return alt.Color(f"{field}:N", scale=scale, title=title, legend=below(**legend))
+    return alt.Color(f"{field}:N", scale=scale, title=title, legend=legend_below(**legend))
 
 
 def pick_selection(*fields: str) -> alt.Parameter:
@@ -50,8 +50,8 @@ def pick_selection(*fields: str) -> alt.Parameter:
     return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
 
 
-def narrow() -> alt.Parameter:
-    """Return the parameter `narrow`, which the page sets where there is little room."""
+def narrow_flag() -> alt.Parameter:
+    """Return the chart parameter that the page sets where there is little room."""
     return alt.param(name="narrow", value=False)
 
 
@@ -59,7 +59,7 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 """Height of a row, with its name beside or above the marks [px]."""
 
 
-def row_names(limit: int = 260, **options: Any) -> alt.Axis:
+def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
     """Return an axis with names beside the figure, or above each row where it is `narrow`.
 
     limit : of their length beside the figure [px].
@@ -84,19 +84,19 @@ def log_scale(**options: Any) -> alt.Scale:
     return alt.Scale(type="log", **options)
 
 
-def below(**options: Any) -> alt.Legend:
+def legend_below(**options: Any) -> alt.Legend:
     """Return a legend below its figure."""
     return alt.Legend(orient="bottom", **options)
 
 
-def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
-    """Return a tooltip entry of a text (`:N`) or a number with so many digits."""
+def tooltip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
+    """Return a tooltip entry of a text (`:N`) or a number in so many digits."""
     form = alt.Undefined if field.endswith(":N") else f".{digits}~g"
     return alt.Tooltip(field, title=title, format=form)
 
 
-def choose(test: Any, yes: object, no: object) -> Any:
-    """One look where `test` holds, a selection or an expression, and else the other."""
+def value_if(test: Any, yes: object, no: object) -> Any:
+    """Return one value of a channel where a test holds, and else the other."""
     return alt.condition(test, alt.value(yes), alt.value(no))
 
 
@@ -105,29 +105,29 @@ def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
     return alt.Y(f"{field}:N", title=None, sort=names, axis=alt.Axis(**axis))
 
 
-def inline(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
-    """Return a chart of a few values; of none where the page fills the data set `name`."""
+def inline_chart(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
+    """Return a chart of a few values, or of a data set that the page fills."""
     return alt.Chart(alt.InlineData(values=list(values), name=name))
 
 
-def limit_rule(limit: float, across: str = "y") -> Any:
-    """Draw a dashed line at a limit of the requirements, on the axis `across`."""
-    rule = inline({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
+def draw_limit_rule(limit: float, across: str = "y") -> Any:
+    """Draw a dashed line at a limit of the requirements."""
+    rule = inline_chart({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 
-def whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
-    """Draw a mark over whole rows with a name, as high as they are."""
+def draw_whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
+    """Draw a mark as high as the row over each whole row."""
     height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
     ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
-def equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
-    """Draw the line on which both coordinates are equal; x, y : axes of any fields."""
+def draw_equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
+    """Draw the line on which both coordinates are equal."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
-    return inline(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
+    return inline_chart(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
 
 
 _WORDS: dict[str, Any] = {
@@ -139,8 +139,9 @@ _WORDS: dict[str, Any] = {
 }
 
 
-def apply(chart: Any, title: str, description: str) -> Any:
-    """Set the common style of a chart in place: Altair's own methods copy all of its parts."""
+def set_style(chart: Any, title: str, description: str) -> Any:
+    """Set title, description and common style of a chart in place."""
+    # Altair's own methods would copy all of its parts.
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description
     chart.background = "transparent"

@@ -8,21 +8,21 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.compare.answers import ORDER, Answer, Range, compare_answers
+from dpbench.analysis.compare.answers import ORDER, FigureChange, Range, compare_figures
 from dpbench.analysis.compare.pairs import Pairs, machine_differences, pair_cells
 from dpbench.analysis.compare.times import (
-    Compared,
-    Shared,
+    ComparedTimes,
+    SharedFactor,
     Timing,
     compare_times,
     compare_to_reference,
+    compute_time_ratios,
     find_unjudged_sequences,
     reference_rows,
     reference_solver,
-    time_pairs,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import disturbance_of, timed_runs
+from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
@@ -32,13 +32,13 @@ from dpbench.report.formats import (
     count_text,
     error_text,
     interval_text,
-    micro_text,
+    microseconds_text,
     plural,
     share_text,
     significant,
 )
-from dpbench.report.machine_verdict import verdict_text
-from dpbench.report.table import Table, document, html
+from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.table import Table, html_table, markdown_document
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then the weaker ones."""
@@ -48,8 +48,8 @@ CHANGES = ("worse", "better", "same", "not comparable")
 STOPPED = "not comparable (stopped by a time limit)"
 
 
-def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Table:
-    """Return one row per solver: verdicts of all its configurations together."""
+def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
+    """Tabulate the verdict on each solver over all its configurations."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted(set(names)):
@@ -75,7 +75,7 @@ def solvers_table(compared: Sequence[Compared], answers: Sequence[Answer]) -> Ta
 
 
 def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
-    """Merge several verdicts into one; `order`: the two claims, then the weaker ones."""
+    """Merge the verdicts on several configurations into one text."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
         return f"{claims[0]} and {claims[1]}"
@@ -83,14 +83,14 @@ def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
 
 
 def times_table(
-    compared: Sequence[Compared],
+    compared: Sequence[ComparedTimes],
     margin: float,
     alpha: float,
     *,
     ordered: bool = False,
     reference: str = "",
 ) -> Table:
-    """Return one row per configuration and sequence, claims first unless they are `ordered`."""
+    """Tabulate step times in both runs with their ratio and the verdict on it."""
     machine = f"that ratio of {reference}, the reference"
     if not reference:
         machine = (
@@ -111,13 +111,14 @@ def times_table(
     return Table.of(list(map(_time_row, rows)), "Step times, replays", note=note, text_columns=2)
 
 
-def _time_row(compared: Compared) -> dict[str, str]:
+def _time_row(compared: ComparedTimes) -> dict[str, str]:
+    """Return the times, ratio and verdict of a configuration as a table row."""
     timing, assessment = compared.timing, compared.assessment
     return {
         "configuration": timing.pair.label,
         "sequence": timing.pair.a.problem,
-        "A p50 [µs]": micro_text(timing.median_ns[0]),
-        "B p50 [µs]": micro_text(timing.median_ns[1]),
+        "A p50 [µs]": microseconds_text(timing.median_ns[0]),
+        "B p50 [µs]": microseconds_text(timing.median_ns[1]),
         "B/A": f"{assessment.raw:.3f}",
         "machine": f"{assessment.machine:.3f}",
         "B/A less machine": f"{assessment.ratio.value:.3f}",
@@ -127,7 +128,7 @@ def _time_row(compared: Compared) -> dict[str, str]:
     }
 
 
-def shared_line(shared: Shared) -> str:
+def shared_line(shared: SharedFactor) -> str:
     """State the change that all configurations of a sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     wording = f"`{shared.sequence}`: step times of "
@@ -144,8 +145,8 @@ def shared_line(shared: Shared) -> str:
     return f"{wording}: {verdict}{cause}"
 
 
-def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
-    """Return the figures that changed, worse ones first; None where none did."""
+def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
+    """Tabulate the figures of accuracy and control that changed; None where none did."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None
@@ -157,18 +158,19 @@ def answers_table(answers: Sequence[Answer], margin: float) -> Table | None:
         f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
         f"{left_out}"
     )
-    rows, title = list(map(_answer_row, changed)), "Accuracy and control: what changed"
+    rows, title = list(map(_change_row, changed)), "Accuracy and control: what changed"
     return Table.of(rows, title, note=note, text_columns=3)
 
 
-def answer_line(answer: Answer) -> str:
-    """One figure that changed, in a line."""
+def change_line(answer: FigureChange) -> str:
+    """Describe a figure of accuracy or control in both runs, in one line."""
     column = answer.measure.column
     values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
-def _answer_row(answer: Answer) -> dict[str, str]:
+def _change_row(answer: FigureChange) -> dict[str, str]:
+    """Return a figure of accuracy or control in both runs as a table row."""
     column = answer.measure.column
     return {
         "configuration": answer.pair.label,
@@ -181,11 +183,13 @@ def _answer_row(answer: Answer) -> dict[str, str]:
 
 
 def _range_text(column: str, values: Range) -> str:
+    """Format the range of a figure over rounds; one value where its ends print alike."""
     texts = [_figure_text(column, value) for value in values]
     return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
 
 
 def _figure_text(column: str, value: float) -> str:
+    """Format a figure of accuracy or control by the kind of its column."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
@@ -202,7 +206,7 @@ LISTED = 5
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Verdicts on each configuration from folder A to folder B.
+    """Comparison of two result folders: verdicts on times, accuracy and control.
 
     Parameters
     ----------
@@ -212,9 +216,9 @@ class Comparison:
     reference : solver that step times are divided by, "" for none.
     """
 
-    compared: list[Compared]
-    shared: list[Shared]
-    figures: list[Answer]
+    compared: list[ComparedTimes]
+    shared: list[SharedFactor]
+    figures: list[FigureChange]
     pairs: Pairs
     lines: list[str]
     tables: list[Table]
@@ -227,12 +231,13 @@ class Comparison:
         return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
 
     def _repr_html_(self) -> str:
+        """Return the comparison as HTML, for a notebook."""
         lines = table_html((), [(line,) for line in self.lines], title="Comparison")
-        return lines + "".join(html(table) for table in self.tables)
+        return lines + "".join(html_table(table) for table in self.tables)
 
     @property
     def worse(self) -> bool:
-        """Whether a regression is shown."""
+        """True if a regression is shown: slower, less accurate, or worse control."""
         together = [s.assessment for s in self.shared if s.assessment is not None]
         slow = any(
             j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
@@ -241,17 +246,17 @@ class Comparison:
 
     @property
     def times(self) -> pd.DataFrame:
-        """One row per configuration and sequence: ratios, interval, adjusted p-values, verdict."""
+        """Table of step time ratios: a row per configuration and sequence."""
         return pd.DataFrame([compared.row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
-        """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
+        """Table of accuracy and control: a row per configuration and figure."""
         return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
         """Return the comparison as a Markdown document."""
-        return document("Comparison", self.lines, self.tables)
+        return markdown_document("Comparison", self.lines, self.tables)
 
 
 def compare(
@@ -262,7 +267,7 @@ def compare(
     margin: float = 0.05,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Compare folder B with folder A, cell by cell.
+    """Compare result folder B with folder A: step times, accuracy and control.
 
     Parameters
     ----------
@@ -285,14 +290,14 @@ def compare(
     views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
     differ = machine_differences(results[0].machine, results[1].machine)
-    timings = time_pairs(*views, pairs.pairs)
+    timings = compute_time_ratios(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
-    figures = compare_answers(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_machine_text(views[0])}", f"B: {b}{_machine_text(views[1])}"]
+    figures = compare_figures(*views, pairs.pairs, margin)
+    lines = [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
     lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
-    changed = answers_table(figures, margin)
+    changed = changes_table(figures, margin)
     tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
@@ -301,8 +306,8 @@ def compare(
 
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
-) -> tuple[list[Compared], list[Shared], list[str]]:
-    """Compare step times; return verdicts, shared changes, and remarks on the method."""
+) -> tuple[list[ComparedTimes], list[SharedFactor], list[str]]:
+    """Judge the step times of two folders; return verdicts and remarks."""
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
@@ -320,15 +325,20 @@ def _compare_times(
     return compare_to_reference(timings, margin, alpha, rows), [], wording
 
 
-def _machine_text(view: Records) -> str:
+def _describe_machine(view: Records) -> str:
+    """Describe a folder's processor and how other load disturbed it."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    disturbance = disturbance_of(timed_runs(view))
-    return f"{wording}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else wording
+    disturbance = total_disturbance(timed_runs(view))
+    return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def _summary_lines(
-    compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
+    compared: list[ComparedTimes],
+    shared: list[SharedFactor],
+    figures: list[FigureChange],
+    pairs: Pairs,
 ) -> list[str]:
+    """Summarise a comparison in lines: cells, verdicts, changes, cells not compared."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

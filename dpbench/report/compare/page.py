@@ -10,14 +10,14 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.compare.times import Compared, Timing
+from dpbench.analysis.compare.times import ComparedTimes, Timing
 from dpbench.files.writing import write_named_file
 from dpbench.report.charts import style
-from dpbench.report.charts.steps import pairs
+from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison, answer_line, shared_line, times_table
-from dpbench.report.formats import interval_text, plural, unmarked
-from dpbench.report.page.data import columns_of
+from dpbench.report.compare.comparison import Comparison, change_line, shared_line, times_table
+from dpbench.report.formats import interval_text, plural, strip_markdown
+from dpbench.report.page.data import columns_by_name
 from dpbench.report.page.pack import Block
 from dpbench.report.page.write import figure_markup, read_page_file, render_page, vega_specification
 from dpbench.report.table import Table
@@ -31,7 +31,7 @@ LEFT_OUT = ("B/A", "steps × rounds")
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
-    """Write the page of a comparison."""
+    """Write the page that compares two result folders, as one HTML file."""
     order = sort_claims_first(comparison.compared)
     charts = _draw_charts(order, comparison.margin)
     times = _page_times_table(order, comparison) if order else None
@@ -41,7 +41,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
         lead=lead_sentences(comparison),
-        lines=[unmarked(line) for line in comparison.lines],
+        lines=[strip_markdown(line) for line in comparison.lines],
         figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
         left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
@@ -52,19 +52,20 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     return path
 
 
-def _draw_charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any]:
+    """Draw the charts of step times in both runs; none without times."""
     if not order:
         return {}
     table = ratio_table(order)
     return {
         "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
-        "both": draw_both(table),
-        "steps": pairs("A: step time", "B: step time"),
+        "both": draw_both_runs(table),
+        "steps": draw_step_pairs("A: step time", "B: step time"),
     }
 
 
-def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Table:
-    """Return the table of times in the order of the page, without `LEFT_OUT`."""
+def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:
+    """Return the table of times as the page shows it, without two columns."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
@@ -72,7 +73,8 @@ def _page_times_table(order: Sequence[Compared], comparison: Comparison) -> Tabl
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
+def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
+    """Pack the compared step times and charts for the page's script, as base64."""
     block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -87,7 +89,7 @@ def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) 
         for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
     document = {
-        "compared": columns_of(rows),
+        "compared": columns_by_name(rows),
         "heads": list(times.heads),
         "row_step": ROW_STEP,
         "charts": {name: vega_specification(chart) for name, chart in charts.items()},
@@ -96,17 +98,17 @@ def _pack_data(order: Sequence[Compared], charts: dict[str, Any], times: Table) 
 
 
 def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
-    """Pack both times of each step, element 0 for step `first`; nothing without steps."""
+    """Pack the times of each step in both runs into a block of arrays."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
     times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
     times[:, timing.k - first] = timing.a_ns, timing.b_ns
-    return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
+    return {"first": first, "a": block.add_log(times[0]), "b": block.add_log(times[1])}
 
 
-def _selection_addresses(order: Sequence[Compared]) -> list[str]:
-    """Return the fragment that selects each; those of equal ones are numbered."""
+def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
+    """Return the URL fragment that selects each comparison on the page."""
     seen: dict[str, int] = {}
     addresses = []
     for one in order:
@@ -124,9 +126,9 @@ def _selection_addresses(order: Sequence[Compared]) -> list[str]:
 
 
 def lead_sentences(comparison: Comparison) -> list[str]:
-    """One sentence on times and accuracy, then what all configurations became slower by."""
+    """Summarise a comparison in sentences: step times, accuracy, shared changes."""
     together = [
-        unmarked(f"All together: {shared_line(shared)}.")
+        strip_markdown(f"All together: {shared_line(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
@@ -135,13 +137,13 @@ def lead_sentences(comparison: Comparison) -> list[str]:
     figures = f"No figure of accuracy or control of {count} is worse." if count else ""
     if worse:
         figures = (
-            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {change_line(worse[0])}."
         )
-    return [unmarked(f"{_slower_sentence(comparison)} {figures}"), *together]
+    return [strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
-def verdict_sentence(one: Compared) -> str:
-    """State the verdict on one configuration with its figures."""
+def verdict_sentence(one: ComparedTimes) -> str:
+    """State the verdict on one configuration's step time ratio with its interval."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
     return (
@@ -152,6 +154,7 @@ def verdict_sentence(one: Compared) -> str:
 
 
 def _slower_sentence(comparison: Comparison) -> str:
+    """State how many configurations became slower, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:
@@ -175,27 +178,27 @@ _COLOUR = style.colour(
 _SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
 _SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
 _TIPS = [
-    style.tip("name:N", "configuration"),
+    style.tooltip("name:N", "configuration"),
     "verdict:N",
-    *(style.tip(f"{name}:Q") for name in ("ratio", "low", "high")),
-    style.tip("a_us:Q", "A [µs]"),
-    style.tip("b_us:Q", "B [µs]"),
+    *(style.tooltip(f"{name}:Q") for name in ("ratio", "low", "high")),
+    style.tooltip("a_us:Q", "A [µs]"),
+    style.tooltip("b_us:Q", "B [µs]"),
 ]
 
 
 def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
-    """Draw B over A less the machine factor, with its interval; dotted: no difference.
+    """Draw the step time ratio B/A of each configuration with its interval.
 
     table : of `ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(
-        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_names(330)),
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_name_axis(330)),
         color=_COLOUR,
         tooltip=_TIPS,
     )
     pick = style.pick_selection("id")
-    rows = style.whole_rows(base, style.choose(pick, 0.16, 0.0), 16, color=style.ACCENT)
-    rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow(), pick)
+    rows = style.draw_whole_rows(base, style.value_if(pick, 0.16, 0.0), 16, color=style.ACCENT)
+    rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow_flag(), pick)
     axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
     title = "B / A, machine factor taken out"
     x = alt.X("ratio:Q", title=title, scale=style.log_scale(), axis=axis)
@@ -204,11 +207,13 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
     rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
     chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
-    return style.apply(chart, "What became slower", "Ratio of step times of each configuration.")
+    return style.set_style(
+        chart, "What became slower", "Ratio of step times of each configuration."
+    )
 
 
-def draw_both(table: pd.DataFrame) -> Any:
-    """Median step time in B against A on equal axes, a mark a configuration and sequence."""
+def draw_both_runs(table: pd.DataFrame) -> Any:
+    """Draw the median step time in B against that in A, a mark per configuration."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
     scale = style.log_scale(domain=[low, high])
@@ -217,12 +222,12 @@ def draw_both(table: pd.DataFrame) -> Any:
     pick = style.pick_selection("id")
     points = alt.Chart(table).mark_point(filled=True, opacity=0.9)
     looks: dict[str, Any] = {"color": _COLOUR, "shape": _SHAPE, "tooltip": _TIPS}
-    points = points.encode(x=x, y=y, **looks, size=style.choose(pick, 260, 55)).add_params(pick)
-    chart = alt.layer(style.equality_line(low, high, x, y), points, width=330, height=330)
-    return style.apply(chart, "Both runs", "Median step times of both runs against each other.")
+    points = points.encode(x=x, y=y, **looks, size=style.value_if(pick, 260, 55)).add_params(pick)
+    chart = alt.layer(style.draw_equality_line(low, high, x, y), points, width=330, height=330)
+    return style.set_style(chart, "Both runs", "Median step times of both runs against each other.")
 
 
-def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
+def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
     """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
@@ -230,8 +235,8 @@ def sort_claims_first(compared: Sequence[Compared]) -> list[Compared]:
     )
 
 
-def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
-    """Return a row for each comparison, the largest ratio first; `id` is its number."""
+def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
+    """Tabulate the step time ratio of each comparison, the largest first."""
     rows = [
         {
             "id": str(i),
@@ -250,7 +255,7 @@ def ratio_table(compared: Sequence[Compared]) -> pd.DataFrame:
 
 
 def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
-    """Of a `ratio_table` what is judged to differ, and so many at either end whatever is said."""
+    """Select the rows judged to differ, and those at both ends of a ratio table."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)
     return table[judged | (place < ends) | (place >= len(table) - ends)]

@@ -35,7 +35,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.page.write import figure_markup, render_page
-from dpbench.report.table import Table, document
+from dpbench.report.table import Table, markdown_document
 
 BUSY = 0.05
 """Relative change of the load kernel that shows a busier machine."""
@@ -43,10 +43,8 @@ BUSY = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Releases:
-    """Solvers over their releases.
+    """Comparison of solver versions over several result folders, in text and tables.
 
-    Parameters
-    ----------
     lines : what was compared; tables : one a solver of several versions, and one of all the others.
     requirements : of the first folder.
     """
@@ -59,11 +57,13 @@ class Releases:
 
     def markdown(self) -> str:
         """Return the releases as a Markdown document."""
-        return document("Solvers over their releases", [*self.lead, *self.lines], self.tables)
+        return markdown_document(
+            "Solvers over their releases", [*self.lead, *self.lines], self.tables
+        )
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Compare each solver of some result folders over its versions.
+    """Compare the versions of each solver over several result folders.
 
     Parameters
     ----------
@@ -96,26 +96,27 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
-    """Return, by solver, the histories of those with several versions."""
+    """Return the histories of the solvers with several versions, by solver."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
 def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
-    """State times of the most usual replay; errors and failed steps of all common runs."""
+    """State how a solver's times, errors and failed steps changed over its versions."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(error_text(largest_known([r.error_move for r in side])) for side in sides)
     failed = " → ".join(
-        _count_per_round(largest_known([r.failed_steps for r in side])) for side in sides
+        _format_count(largest_known([r.failed_steps for r in side])) for side in sides
     )
     versions = " → ".join(release.version for release in ends[0])
-    times = _state_times(changed)
+    times = _time_change_text(changed)
     return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
 
 
-def _state_times(changed: Sequence[History]) -> str:
+def _time_change_text(changed: Sequence[History]) -> str:
+    """State how a solver's p50 step time changed from its oldest to newest version."""
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -156,6 +157,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
 
 
 def _version_tables(histories: Histories) -> list[Table]:
+    """Tabulate times and errors by version, one table per solver that changed."""
     changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
@@ -187,6 +189,7 @@ BEFORE = ("to the one before", "load kernel")
 
 
 def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
+    """Return one table row per version of a solver: times, errors, counts."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -197,26 +200,27 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
             "folders": "all"
             if len(release.runs) == histories.folders
             else and_list(list(release.runs)),
-            f"p50{unit}": _time(release.p50, histories),
+            f"p50{unit}": _format_time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
-            f"p99{unit}": _time(release.p99, histories),
-            f"largest step{unit}": _time(release.largest, histories),
+            f"p99{unit}": _format_time(release.p99, histories),
+            f"largest step{unit}": _format_time(release.largest, histories),
             "largest error": error_text(release.error_move),
-            "claimed, not true": _count_per_round(release.claimed_not_true),
-            "failed steps": _count_per_round(release.failed_steps),
+            "claimed, not true": _format_count(release.claimed_not_true),
+            "failed steps": _format_count(release.failed_steps),
             "outcome": release.outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)
     ]
 
 
-def _count_per_round(value: float) -> str:
+def _format_count(value: float) -> str:
     """Format a count per round, whole where it is in every round."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
-def _time(value: float, histories: Histories) -> str:
+def _format_time(value: float, histories: Histories) -> str:
+    """Format a time [ns], or a multiple of the reference solver's."""
     return significant(value) if histories.reference else time_text(value)
 
 
@@ -227,15 +231,15 @@ MOST_PANELS = 4
 
 
 def write_releases(path: Path, releases: Releases) -> Path:
-    """Write the page: it needs no script and nothing beside it."""
+    """Write the page that compares solver versions, without any script."""
     table = release_table(releases.histories, MOST_PANELS)
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
         "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
-        "the most usual configuration of each solver.": release_times(table, unit),
+        "the most usual configuration of each solver.": draw_release_times(table, unit),
         "The same runs; dashed: what the requirements allow. An error of exactly 0 has no point.": (
-            release_errors(table, releases.requirements.error_move)
+            draw_release_errors(table, releases.requirements.error_move)
         ),
     }
     figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
@@ -251,8 +255,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
     return path
 
 
-def release_times(table: pd.DataFrame, unit: str) -> Any:
-    """Draw p50, p99 and largest step of each version, a panel per problem.
+def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
+    """Draw p50, p99 and largest step time of each version, a panel per problem.
 
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
@@ -261,43 +265,42 @@ def release_times(table: pd.DataFrame, unit: str) -> Any:
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     known = base.transform_filter("isValid(datum.p99)")
     bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
-    layers = (line, bar, _draw_points(base, x))
+    layers = (line, bar, base.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
 
 
-def release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """Draw the largest error of the first move of each version, against its limit.
+def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
+    """Draw the largest error of the first move of each version, with its limit.
 
-    table : as of `release_times`; an error of 0 or none at all has no point.
+    table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
     title = "largest error of the first move [rate-limit steps]"
     x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_value_axis(".0e"))
     drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
     rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
-    layers = (rule, _draw_points(drawn, x))
+    layers = (rule, drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
 def _value_axis(form: str) -> alt.Axis:
+    """Return a chart axis with few ticks, in a number format."""
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
 def _version_rows_chart(table: pd.DataFrame) -> Any:
+    """Return the chart base with a row per solver version, coloured by age."""
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
         color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
         shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
-        tooltip=["label:N", *(style.tip(f"{name}:Q") for name in FIGURES)],
+        tooltip=["label:N", *(style.tooltip(f"{name}:Q") for name in FIGURES)],
     )
 
 
-def _draw_points(base: Any, x: alt.X) -> Any:
-    return base.mark_point(filled=True, size=60, opacity=1).encode(x=x)
-
-
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
+    """Layer charts into one panel per problem, below each other."""
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)
-    return style.apply(chart.facet(row=row).resolve_scale(y="independent"), title, description)
+    return style.set_style(chart.facet(row=row).resolve_scale(y="independent"), title, description)

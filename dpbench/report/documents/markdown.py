@@ -19,8 +19,13 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.report import Report
-from dpbench.report.table import markdown, markdown_line, markdown_text, one_line
-from dpbench.report.verdict_text import answer_text, clauses, paired_text, requirements_text
+from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
+from dpbench.report.verdict_text import (
+    answer_text,
+    describe_findings,
+    paired_text,
+    requirements_text,
+)
 
 MOST_BYTES = 8000
 """One or two screens."""
@@ -31,7 +36,7 @@ HEAD = (
 
 
 def report_markdown(report: Report) -> str:
-    """Return the report in Markdown, at most `MOST_BYTES` long."""
+    """Return the report as a Markdown text of limited length."""
     data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
     wording = []
@@ -50,17 +55,17 @@ def report_markdown(report: Report) -> str:
         "`runs.parquet`, `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
-    return cut(text, MOST_BYTES, "tables/verdicts.csv")
+    return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
-    """Return a Markdown row for each configuration; empty without one."""
+    """Return a Markdown table with a row for each configuration; "" without one."""
     rows = solver_rows(data, verdicts)
-    return markdown(HEAD, rows, 3) if rows else ""
+    return markdown_table(HEAD, rows, 3) if rows else ""
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """Return a row for each configuration, under `HEAD`."""
+    """Return each configuration's verdict, times and errors as text cells."""
     return [
         (
             verdict.configuration.solver,
@@ -80,8 +85,8 @@ def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, 
     ]
 
 
-def cut(text: str, most_bytes: int, elsewhere: str) -> str:
-    """Whole lines up to the limit; what is cut off is in `elsewhere`."""
+def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
+    """Cut a text to whole lines within a limit; name the file that has the rest."""
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
@@ -100,7 +105,7 @@ MOST_CONFIGURATIONS = 3
 def compare_solver(
     report: Report, solver: str, others: Sequence[str] = ()
 ) -> tuple[str, list[WorstStep]]:
-    """Compare one solver with others in `COMMENT_BYTES` of Markdown; also return its worst steps.
+    """Compare a solver with others in Markdown; also return its worst steps.
 
     others : solvers to compare with; by default those of `USUAL` that ran.
 
@@ -124,25 +129,27 @@ def compare_solver(
         solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
         "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
-        "\n".join(f"    {one_line(step.export)}" for step in worst),
+        "\n".join(f"    {one_line(step.export_command)}" for step in worst),
         markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
     ]
-    return cut(
+    return truncate_text(
         "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
     ), worst
 
 
 def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
+    """State the verdict on a configuration and its reasons in one sentence."""
     label = verdict.configuration.label
     passed = f"`{label}` passes everywhere it was run."
     if verdict.causes:
         verb = "is late" if verdict.state == "late" else "fails"
-        return f"`{label}` {verb}: {clauses(verdict.causes)}."
-    wording = clauses(verdict.missing)
+        return f"`{label}` {verb}: {describe_findings(verdict.causes)}."
+    wording = describe_findings(verdict.missing)
     return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
 
 
 def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
+    """State the step time ratio of two configurations in one sentence."""
     faster, slower = fastest_first([own, other])
     wording = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
@@ -150,6 +157,7 @@ def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+    """Return a solver's worst steps in a Markdown table, others beside it."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]
@@ -169,24 +177,25 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
         )
         for step in worst
     ]
-    return markdown(heads, rows, 3)
+    return markdown_table(heads, rows, 3)
 
 
 def _figure_text(measure: Measure, value: float) -> str:
+    """Format a time [ns], an error or a number of iterations by its measure."""
     if measure == "time":
         return time_text(value)
     return error_text(value) if measure == "error" else count_text(value)
 
 
 def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
-    """For the end of a report on a terminal: each worst step, and the command that exports it."""
+    """Describe each worst step and the command that exports it, for a terminal."""
     return [
         (
             f"worst {step.measure}",
             f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
             f"{_figure_text(step.measure, step.value)}, median "
             f"{_figure_text(step.measure, step.median)}; "
-            f"{step.export}",
+            f"{step.export_command}",
         )
         for step in worst
         if not math.isnan(step.value)

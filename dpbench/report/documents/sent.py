@@ -65,14 +65,14 @@ def check_passive(page: str, where: str) -> None:
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
-    for at, found in _active_parts(page):
+    for at, found in _find_active_parts(page):
         line = page.count("\n", 0, at) + 1
         allowed = "a page without scripts: `dpbench report DIR --send FOLDER`"
         raise ResultsError(where, f"line {line}", found[:120], allowed)
 
 
-def _active_parts(page: str) -> Iterator[tuple[int, str]]:
-    """Yield what is not passive, and where."""
+def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
+    """Yield position and text of what a browser would run or load in a page."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"
     if _ENCODED.search(page, 0, _PREFIX) is None:
@@ -87,7 +87,7 @@ def _active_parts(page: str) -> Iterator[tuple[int, str]]:
         if _TAGS.fullmatch(name) is None:
             yield start, f"<{name}>"
         for attribute, value in _ATTRIBUTE.findall(tag["attributes"] or ""):
-            if not _is_passive(attribute.lower(), value):
+            if not _is_passive_attribute(attribute.lower(), value):
                 yield start, f'{attribute}="{value}" in <{name}>'
         if name == "style" and not tag[0].startswith("</"):
             end = page.find("<", at)
@@ -95,7 +95,8 @@ def _active_parts(page: str) -> Iterator[tuple[int, str]]:
                 yield loads.start(), f"{loads[0]} in <style>"
 
 
-def _is_passive(attribute: str, value: str) -> bool:
+def _is_passive_attribute(attribute: str, value: str) -> bool:
+    """Return whether an HTML attribute of this value runs and loads nothing."""
     if attribute in _VALUES:
         return _VALUES[attribute].fullmatch(value) is not None
     if _ATTRIBUTES.fullmatch(attribute) is None:
@@ -122,7 +123,7 @@ remarks = ""  # what a reader should know: power plan, other load, own build of 
 
 
 class Sender(BaseModel):
-    """What `sender.toml` says; versions and machine are in `machine.json` and `runs.parquet`."""
+    """Form in `sender.toml`: who ran the benchmark, when, how."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -132,7 +133,7 @@ class Sender(BaseModel):
     remarks: str = ""
 
 
-def prepare_folder(folder: Path, target: Path) -> None:
+def prepare_sent_folder(folder: Path, target: Path) -> None:
     """Copy the files to send into a folder of their own, with a form for the sender.
 
     An existing `sender.toml` is kept.
@@ -157,8 +158,8 @@ def prepare_folder(folder: Path, target: Path) -> None:
         write_text(target / SENDER, _BLANK.format(when=when))
 
 
-def check_sent(folder: Path) -> str:
-    """Check that a folder that was sent is complete and readable; return its description.
+def check_sent_folder(folder: Path) -> str:
+    """Check a result folder that others sent; return its description.
 
     Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
     machine, or a page of other runs; InputError for the contents of `sender.toml`.
@@ -186,15 +187,18 @@ def check_sent(folder: Path) -> str:
 
 
 def _unknown_files(folder: Path) -> list[str]:
+    """Return the names of files that do not belong in a folder sent by others."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 
 
 def _files_to_send(folder: Path) -> list[str]:
+    """Return the names of the result files to send, page and form aside."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
 def _check_runs(folder: Path, results: Results) -> None:
+    """Check that the runs sent are of one machine, and that none was lost."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")
@@ -208,7 +212,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """Check that the page names the files beside it by their hashes, and has no script."""
+    """Check that the page sent belongs to the files beside it and has no script."""
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")

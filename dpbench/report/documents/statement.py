@@ -21,7 +21,7 @@ from dpbench.errors import InputError
 from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import slower_text
+from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import level_options
@@ -32,8 +32,8 @@ HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line of text at a size; bold for headings, `gap` above it."""
+class TextLine:
+    """Line of text with size, weight, gap above it and colour."""
 
     text: str
     size: float = 9.5
@@ -43,7 +43,7 @@ class Line:
 
 
 def statement_svg(folder: Path, results: Results, data: PageData) -> str:
-    """Return the statement on a result folder as SVG, A4.
+    """Return the one-page statement on the recommended solver as SVG, A4.
 
     Raises InputError when nothing can be recommended, so that there is nothing to state.
     """
@@ -55,7 +55,7 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
-    """Write the statement as the name of the file ends: .pdf or .svg."""
+    """Write the one-page statement on the recommended solver, as .pdf or .svg."""
     drawn = statement_svg(folder, results, data)
     if path.suffix == ".svg":
         write_named_file(path, drawn.encode())
@@ -78,16 +78,18 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 def _format_lines(
     folder: Path, results: Results, data: PageData, chosen: Verdict
-) -> Iterator[Line]:
+) -> Iterator[TextLine]:
+    """Yield the lines of the statement, styled and wrapped."""
     for line in _fill_statement(folder, results, data, chosen).splitlines():
         mark, _, text = line.partition(" ")
         if mark in _LOOKS:
-            yield Line(text, **_LOOKS[mark])
+            yield TextLine(text, **_LOOKS[mark])
         else:
-            yield from map(Line, textwrap.wrap(" ".join(line.split()), 104))
+            yield from map(TextLine, textwrap.wrap(" ".join(line.split()), 104))
 
 
 def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
+    """Fill the statement's template: solver, settings, ship, machine, hashes."""
     c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
@@ -103,7 +105,7 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
         or "the library's own",
         aboard=deployment_facts(c.solver),
         requirements=requirements_text(data.requirements),
-        slower=slower_text(data, chosen),
+        slower=speed_margin_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         experiments=[
             data.experiments[p].label
@@ -116,7 +118,7 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
     )
 
 
-def _render_svg(lines: Iterable[Line]) -> str:
+def _render_svg(lines: Iterable[TextLine]) -> str:
     """Render lines of text as one SVG page."""
     parts, y = [], float(MARGIN)
     for line in lines:

@@ -27,7 +27,7 @@ MOST_LOOPS = 400
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Select the runs of studies for the page, the first sea of every point first."""
+    """Select a study's runs for the page, the first realisation of all points first."""
     solving = [run for run in runs if not run.is_baseline_law]
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
 
@@ -35,7 +35,7 @@ def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
 def study_document(
     study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
 ) -> dict[str, Any]:
-    """Return the data of a study for the page's script.
+    """Return the points, configurations and runs of a study, for the page's script.
 
     runs : those that are shown, by run_id.
     number_of : number on the page of a configuration, by name.
@@ -57,7 +57,7 @@ def study_document(
         ],
         "names": names,
         "c": [number_of[name] for name in names],
-        "means": [_mean_excess(study, name) for name in names],
+        "means": [_mean_excess_error(study, name) for name in names],
         "runs": {
             "of": [place[name] for name in rows["configuration"]],
             "point": rows["point"].tolist(),
@@ -71,18 +71,14 @@ def study_document(
 
 
 def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
-    """Choose the run that a page on a study opens with; None where nothing is shown.
-
-    Of the configuration that holds fewest seas, or else the one farthest from the exact loop; a sea
-    that it does not hold, or else the one in which it is farthest off.
-    """
+    """Choose the worst run of a study, with which a page opens; None without one."""
     kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
     worst = worst_run(study, list(kept))
     return None if worst is None else kept[worst]
 
 
-def _mean_excess(study: Study, name: str) -> dict[str, Any]:
-    """Return the mean over all seas with its interval [cm], and the share that is held."""
+def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
+    """Return a configuration's mean excess error with interval [cm], and share held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
     if found.error_excess_m is None or found.error_excess_m.pairs == 0:
@@ -91,36 +87,36 @@ def _mean_excess(study: Study, name: str) -> dict[str, Any]:
 
 
 def _round_values(values: Iterable[float]) -> list[float | None]:
-    """Round to four digits, as the page prints; None for what is missing."""
+    """Round numbers to four significant digits; None for NaN and infinity."""
     return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
 
 
 @dataclass(eq=False)
 class PageData(RunMatrix):
-    """What was run where, and the block that the page's arrays are in."""
+    """Runs and verdicts by configuration and experiment, with packed steps."""
 
     block: Block = field(default_factory=Block)
 
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """Select the data of some records; of studies the runs that the page has room for."""
+        """Build the page's data from a folder's runs and verdicts."""
         return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
 
     @cached_property
     def studies(self) -> list[Study]:
-        """All studies."""
+        """All studies of the result folder."""
         return find_studies(self.records)
 
     @cached_property
     def study_documents(self) -> list[dict[str, Any]]:
-        """What the script of the page knows of each."""
+        """Points, configurations and runs of each study, for the page's script."""
         runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
         numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Numbers of the configuration and experiment that a page on studies alone opens with."""
+        """Indices of configuration and experiment that a page on studies opens with."""
         if self.judged_experiments or not self.studies:
             return None
         run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
@@ -130,7 +126,7 @@ class PageData(RunMatrix):
 
     @cached_property
     def thinned_runs(self) -> dict[str, ThinnedRun]:
-        """Kept steps of every run with a counting step, by id, in the order of the steps file."""
+        """Steps that the page has room for, of every run, by run id."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, ThinnedRun] = {}
@@ -143,16 +139,17 @@ class PageData(RunMatrix):
         return kept
 
     @property
-    def thinned(self) -> int:
-        """Of how many runs the page keeps a part of the steps."""
+    def thinned_count(self) -> int:
+        """Number of runs of which the page shows only a part of the steps."""
         return sum(not run.is_whole for run in self.thinned_runs.values())
 
     def cells(self) -> Iterator[dict[str, Any]]:
-        """Every run with its packed steps and hardest steps."""
+        """Yield each run's figures, packed steps and hardest steps, for the page's script."""
         references: dict[int, Track] = {}
         hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
-        order = sorted(self.runs, key=lambda key: (key[1], self._deviation(self.runs[key])))
-        for c, p in order:
+        # The run nearest to the exact loop comes first: the others' tracks refer to it.
+        off_m = {k: np.nan_to_num(r.dev_position_max_m, nan=np.inf) for k, r in self.runs.items()}
+        for c, p in sorted(self.runs, key=lambda key: (key[1], off_m[key])):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
@@ -164,6 +161,7 @@ class PageData(RunMatrix):
             yield entry
 
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+        """Return a run's verdict, outcome and figures, for the page's script."""
         return {
             "c": c,
             "p": p,
@@ -171,50 +169,47 @@ class PageData(RunMatrix):
             "verdict": self.state(c, p),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
-            "infeasible": number(run.infeasible_steps),
+            "infeasible": json_number(run.infeasible_steps),
             "all_true": run.true_share == 1.0,
             "steps": run.steps_done,
             "answers": int(run.steps_done * max(1.0, run.rounds)),
             "planned": run.steps_planned,
-            "error": number(run.error_move_max),
-            "failed": number(run.failed_steps),
-            "untrue": number(run.claimed_not_true),
-            "off_m": number(run.dev_position_max_m),
-            "settle_s": number(run.settle_s),
+            "error": json_number(run.error_move_max),
+            "failed": json_number(run.failed_steps),
+            "untrue": json_number(run.claimed_not_true),
+            "off_m": json_number(run.dev_position_max_m),
+            "settle_s": json_number(run.settle_s),
         }
 
     def _force_limits(self, run: RunRecord) -> Any:
+        """Return the largest force of a run's ship in each axis (3,), or None."""
         scenario = self.scenario(run)
         if scenario is None:
             return None
         vessel = scenario.vessel
         return np.maximum(vessel.tau_max, -vessel.tau_min)
 
-    @staticmethod
-    def _deviation(run: RunRecord) -> float:
-        return math.inf if math.isnan(run.dev_position_max_m) else run.dev_position_max_m
-
 
 def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
-    """Return the hardest steps by each measure: k, figure, status, claimed, true, active limits."""
+    """Return a run's hardest steps by each measure as lists of figures."""
     return [
         [
-            [row.k, number(row.value), row.status, int(row.claimed), int(row.true), row.n_active]
-            for row in run.hard[measure][:count]
+            [h.k, json_number(h.value), h.status, int(h.claimed), int(h.true), h.n_active]
+            for h in run.hard[measure][:count]
         ]
         for measure in MEASURES
     ]
 
 
-def number(value: object) -> float | str | None:
-    """Convert a number to JSON: None where it is missing, "inf" where it is infinite."""
+def json_number(value: object) -> float | str | None:
+    """Convert a number for JSON: None where it is missing, "inf" where infinite."""
     x = as_float(value)
     if math.isnan(x):
         return None
     return x if math.isfinite(x) else "inf"
 
 
-def columns_of(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Turn rows of one kind into columns."""
+def columns_by_name(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Turn a list of rows (dictionaries) into columns."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}

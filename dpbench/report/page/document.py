@@ -15,19 +15,22 @@ from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style
-from dpbench.report.page.data import PageData, columns_of, number
+from dpbench.report.page.data import PageData, columns_by_name, json_number
 from dpbench.report.page.live import SECTIONS
 from dpbench.report.page.pack import FLAGS
-from dpbench.report.page.recommendation import Recommendation, call_text
-from dpbench.report.page.terms import Word
+from dpbench.report.page.recommendation import Recommendation, python_call_text
+from dpbench.report.page.terms import GlossaryEntry
 
 
 def page_document(
-    data: PageData, results: Results, recommendation: Recommendation, words: Mapping[int, Word]
+    data: PageData,
+    results: Results,
+    recommendation: Recommendation,
+    words: Mapping[int, GlossaryEntry],
 ) -> dict[str, Any]:
-    """Return all data of the page but the figures; arrays of numbers go into `data.block`.
+    """Return all data of the page but the charts, for its scripts.
 
-    words : descriptions of experiments, by number.
+    Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
     """
     cells = list(data.cells())
     verdicts = {v.configuration: v for v in data.verdicts.all}
@@ -41,9 +44,9 @@ def page_document(
             for name in dict.fromkeys(c.solver for c in data.configurations)
             for known in [find_solver_record(name)]
         },
-        "configurations": columns_of(rows),
+        "configurations": columns_by_name(rows),
         "experiments": _describe_experiments(data, words),
-        "cells": columns_of(cells),
+        "cells": columns_by_name(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
         "requirements": {
@@ -51,7 +54,7 @@ def page_document(
             "deadline_ms": data.requirements.deadline_ms,
             "p99_ms": data.requirements.p99_ms,
         },
-        "answer": _first_selection(data, results, recommendation),
+        "answer": _opening_selection(data, results, recommendation),
     }
     for section in SECTIONS:
         document |= section.data(data, results)
@@ -61,26 +64,27 @@ def page_document(
 def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
+    """Return a configuration's verdict, times, errors and code, for the page's script."""
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
         "why": "" if v is None else recommendation.why(v),
-        **{name: number(times.get(name)) for name in ("p50", "p99", "max")},
-        "replay_p99": None if v is None else number(v.replay_p99_ns),
-        "raw_p99": None if v is None else number(v.raw_p99_ns),
+        **{name: json_number(times.get(name)) for name in ("p50", "p99", "max")},
+        "replay_p99": None if v is None else json_number(v.replay_p99_ns),
+        "raw_p99": None if v is None else json_number(v.raw_p99_ns),
         "p99_in": "" if v is None else v.p99_on,
-        "error": None if v is None else number(v.error_move),
+        "error": None if v is None else json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
-        "call": call_text(c),
+        "call": python_call_text(c),
         **_describe_margin(data, c),
         **_longest_timing(data, c),
     }
 
 
 def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return the speed margin and the window steps that bound it: experiment, k, time [ns]."""
+    """Return a configuration's speed margin and the steps that limit it."""
     margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
@@ -91,25 +95,26 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
         and not experiment.slowdown
     }
     bounds = [
-        [loops[step.run.scenario], step.k, number(step.time_ns)]
+        [loops[step.run.scenario], step.k, json_number(step.time_ns)]
         for step in (margin.hardest, margin.p99)
         if step.run.window_of and step.run.scenario in loops
     ]
-    return {"margin": number(margin.factor), "bounds": bounds}
+    return {"margin": json_number(margin.factor), "bounds": bounds}
 
 
 def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return the largest single timing of a configuration [ns], and its experiment."""
+    """Return a configuration's largest single timing [ns] and its experiment."""
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
-    return {"longest": number(run.raw_max_ns), "longest_at": data.experiments.index(experiment)}
+    p = data.experiments.index(experiment)
+    return {"longest": json_number(run.raw_max_ns), "longest_at": p}
 
 
-def _first_selection(
+def _opening_selection(
     data: PageData, results: Results, recommendation: Recommendation
 ) -> dict[str, Any]:
-    """Return the selection that the page opens with, and the best configuration of each solver."""
+    """Return the configurations, experiment and step that the page opens with."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (
@@ -129,8 +134,10 @@ def _first_selection(
     }
 
 
-def _describe_experiments(data: PageData, words: Mapping[int, Word]) -> list[dict[str, Any]]:
-    """Describe each experiment by its first run; a sea without a loop on the page has none."""
+def _describe_experiments(
+    data: PageData, words: Mapping[int, GlossaryEntry]
+) -> list[dict[str, Any]]:
+    """Describe each experiment by its first run, for the page's script."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
         _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
@@ -141,6 +148,7 @@ def _describe_experiments(data: PageData, words: Mapping[int, Word]) -> list[dic
 def _describe_experiment(
     data: PageData, experiment: Experiment, run: RunRecord | None
 ) -> dict[str, Any]:
+    """Describe an experiment for the page's script: label, mode, study, reference."""
     wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,
@@ -155,7 +163,7 @@ def _describe_experiment(
     if run is None:
         return wording
     if not experiment.study:
-        wording |= {"source": run.exported_by, "first": run.first_step}
+        wording |= {"source": run.export_argument, "first": run.first_step}
     scenario = data.scenario(run) if run.scenario else None
     if scenario is not None:
         wording["reference"] = [float(x) for x in scenario.reference]

@@ -7,31 +7,45 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.suites.study import SMALL_M
-from dpbench.analysis.times.solver_tables import level_table, pair_reaches, tile_table, time_table
+from dpbench.analysis.times.solver_tables import (
+    experiment_table,
+    level_table,
+    pair_half_widths,
+    time_table,
+)
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.overview import accuracy, ladder, matrix
+from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
-from dpbench.report.charts.steps import pairs, strips
-from dpbench.report.charts.study import behind_there, design, seas_there
+from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
+from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Section
-from dpbench.report.page.tables import drawn_tiles, runs_table
+from dpbench.report.page.tables import runs_table, select_tiles
 
 Charts = dict[str, Any]
 
 
 def _draw_ladder(data: PageData) -> Charts:
+    """Draw solver step times against the deadline; no chart without times."""
     timed = time_table(data)
     if timed.empty:
         return {}
-    return {"ladder": ladder(timed, data.requirements.deadline_ms, data.requirements.p99_ms)}
+    return {
+        "ladder": draw_deadline_chart(
+            timed, data.requirements.deadline_ms, data.requirements.p99_ms
+        )
+    }
 
 
 def _draw_matrix(data: PageData) -> Charts:
-    tiles = drawn_tiles(tile_table(data)).replace(inf, "inf")  # JSON has no infinity
+    """Draw the verdicts by solver and experiment, wide and for a narrow screen."""
+    tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
-    return {"matrix": matrix(tiles), "matrix_narrow": matrix(tiles, stacked=True)}
+    return {
+        "matrix": draw_verdict_tiles(tiles),
+        "matrix_narrow": draw_verdict_tiles(tiles, stacked=True),
+    }
 
 
 MATRIX = (
@@ -43,9 +57,10 @@ MATRIX = (
 
 
 def _matrix_text(data: PageData) -> str:
-    """Explain the tiles, and how many experiments are left out."""
-    tiles = tile_table(data)
-    there, drawn = (t["experiment"].nunique() if len(t) else 0 for t in (tiles, drawn_tiles(tiles)))
+    """Explain the tiles of verdicts, and how many experiments are left out."""
+    tiles = experiment_table(data)
+    tables = tiles, select_tiles(tiles)
+    there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
     if any(data.experiments[p].units == "si" for p in data.judged_experiments):
         wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
@@ -67,43 +82,49 @@ def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
 
 
 def _draw_strips(data: PageData) -> Charts:
+    """Draw the empty charts of one run's steps, which the page's script fills."""
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
-    charts = {"strips": strips(no_steps, forces, data.requirements.error_move)}
+    charts = {"strips": draw_step_strips(no_steps, forces, data.requirements.error_move)}
     if _replayed_configurations(data):
-        charts["strips_replay"] = strips(no_steps, None, data.requirements.error_move)
+        charts["strips_replay"] = draw_step_strips(no_steps, None, data.requirements.error_move)
     return charts
 
 
 def _draw_pairs(data: PageData) -> Charts:
-    """Draw the axes by signals of these names, which the script adds."""
-    return {"pairs": pairs("first", "second")} if len(_replayed_configurations(data)) > 1 else {}
+    """Draw the empty chart of two solvers' step times, which the page's script fills."""
+    has_pair = len(_replayed_configurations(data)) > 1
+    return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
 
 
 def _replayed_configurations(data: PageData) -> set[int]:
+    """Return the indices of the configurations that have a replay."""
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
-def _pack_pair_reaches(data: PageData, _: Results) -> dict[str, Any]:
-    timed, reach = pair_reaches(data)
-    return {"paired": {"c": timed, "reach": data.block.log(reach)}}
+def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
+    """Pack the half-width of the log time ratio of each two configurations."""
+    timed, widths = pair_half_widths(data)
+    return {"paired": {"c": timed, "reach": data.block.add_log(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
+    """Draw the step time against the error of each settings level."""
     points = level_table(data)
-    return {} if points.empty else {"accuracy": accuracy(points, data.requirements.error_move)}
+    return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
 
 def _draw_study(data: PageData) -> Charts:
+    """Draw the empty charts of a study, which the page's script fills."""
     if not (data.studies and data.runs):
         return {}
     return {
-        "design_tiles": design(tiles=True),
-        "design_points": design(tiles=False),
-        "behind": behind_there(100 * SMALL_M),
-        "seas": seas_there(),
+        "design_tiles": draw_study_points(tiles=True),
+        "design_points": draw_study_points(tiles=False),
+        "behind": draw_point_errors(100 * SMALL_M),
+        "seas": draw_point_seas(),
     }
 
 
@@ -111,7 +132,7 @@ SECTIONS = (
     Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
     Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
     Section("one", "One solver", _draw_strips, live=True),
-    Section("two", "Two solvers", _draw_pairs, data=_pack_pair_reaches, live=True),
+    Section("two", "Two solvers", _draw_pairs, data=_pack_half_widths, live=True),
     Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
     Section(
         "study",
@@ -128,13 +149,13 @@ SECTIONS = (
 """In the order of the page; topics precede the last one."""
 
 
-def charts_of(data: PageData) -> dict[str, Charts]:
-    """Return the figures of each section, by its id."""
+def draw_section_charts(data: PageData) -> dict[str, Charts]:
+    """Draw the charts of each section of the page, by section id."""
     return {section.id: section.charts(data) for section in SECTIONS}
 
 
-def drawn_figures(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
-    """Return the figures that are on the page before any script has run, by name."""
+def select_static_charts(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
+    """Return the charts that are on the page before any script has run."""
     return {
         name: charts[section.id][name]
         for section in SECTIONS

@@ -33,7 +33,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length
+from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length_limit
 from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]
@@ -47,45 +47,48 @@ LEVEL = 6
 
 
 class Block:
-    """Arrays by number, and a document that refers to them."""
+    """Numeric arrays in one compressed text block, which the page unpacks."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._entries: list[list[Any]] = []
         self._size = 0
 
-    def log(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add positive numbers over many decades, such as times and errors."""
-        return self._add("log", log_codes(values), 1.0, places)
+    def add_log(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add positive numbers of many decades as uint16 logarithms; return their index."""
+        return self._add_array("log", log_codes(values), 1.0, places)
 
-    def linear(self, values: ArrayLike, scale: float) -> int:
-        """Add numbers as multiples of `scale`, cut off at 32767 of them."""
+    def add_linear(self, values: ArrayLike, scale: float) -> int:
+        """Add numbers as int16 multiples of `scale`; return the index of the array."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
-        return self._add(
+        return self._add_array(
             "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
         )
 
-    def count(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add whole numbers from 0 to 65534; NaN and negative ones are missing."""
+    def add_count(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add whole numbers up to 65534, NaN if missing; return the index of the array."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._add("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
+        return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
-    def flag(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add bytes."""
-        return self._add("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
+    def add_flag(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add bytes of bit flags; return the index of the array."""
+        return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def place(self, values: ArrayLike, length: int) -> int:
-        """Add rising places in an array of `length`; ValueError where two are over 65535 apart."""
+    def add_place(self, values: ArrayLike, length: int) -> int:
+        """Add rising indices below `length`; ValueError if two are over 65535 apart."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
-        return self._add("place", apart.astype(np.uint16), length)
+        return self._add_array("place", apart.astype(np.uint16), length)
 
-    def _add(self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None) -> int:
-        raw = _split_planes(codes) if codes.dtype == np.uint16 else codes.tobytes()
+    def _add_array(
+        self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None
+    ) -> int:
+        """Append encoded values to the block; return the index of the array."""
+        raw = _split_bytes(codes) if codes.dtype == np.uint16 else codes.tobytes()
         entry = [kind, self._size, len(codes), scale]
         self._entries.append(entry if places is None else [*entry, places])
         self._parts.append(raw)
@@ -93,7 +96,7 @@ class Block:
         return len(self._entries) - 1
 
     def text(self, document: dict[str, Any]) -> str:
-        """Return the block with `document`, as base64."""
+        """Return the compressed arrays with a JSON document, as base64."""
         head = json.dumps(
             document | {"arrays": self._entries},
             separators=(",", ":"),
@@ -105,7 +108,7 @@ class Block:
 
 
 def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
-    """Return the codes of a `log` array; negative numbers are missing."""
+    """Encode positive numbers as uint16 logarithms; negative ones are missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.round(PER_DECADE * (np.log10(x) - np.log10(SMALLEST))) + 2
@@ -115,10 +118,12 @@ def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
 
 
 def _encode_differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return the differences between neighbouring uint16 codes."""
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
-def _split_planes(codes: NDArray[np.uint16]) -> bytes:
+def _split_bytes(codes: NDArray[np.uint16]) -> bytes:
+    """Return the low bytes of all codes, then their high bytes."""
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()
 
 
@@ -139,26 +144,26 @@ MOST_HARD = 15_000
 
 @dataclass(frozen=True)
 class Room:
-    """How much of one run the page has room for: steps, and points of its track."""
+    """Number of steps and track points of each run that the page has room for."""
 
     steps: int
     points: int
 
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
-        """Share the page among runs of these lengths; short ones stay whole."""
+        """Share the room of the page among runs of these lengths; short ones stay whole."""
         more = max(0, len(lengths) - MANY_RUNS)
-        points = common_length(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
-        steps = common_length(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
         return cls(steps, min(MOST_POINTS_EACH, points))
 
 
 def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
-    """Pack the steps of a run, element 0 for step `first`; steps not kept are missing."""
+    """Pack a run's step times, errors, iterations and flags into a block of arrays."""
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
-    at = None if run.is_whole else block.place(steps.k - first, count)
+    at = None if run.is_whole else block.add_place(steps.k - first, count)
 
     def spread(values: Floats, missing: float = np.nan) -> Floats:
         if at is not None:
@@ -171,19 +176,19 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     bits = np.sum([flag.astype(np.float64) * (1 << bit) for bit, flag in flags], axis=0)
     entry = {
         "first": first,
-        "t": block.log(spread(steps.time_ns), at),
-        "e": block.log(spread(steps.error), at),
-        "i": block.count(spread(steps.iterations), at),
-        "a": block.count(spread(steps.n_active), at),
-        "f": block.flag(spread(bits, 0.0), at),
+        "t": block.add_log(spread(steps.time_ns), at),
+        "e": block.add_log(spread(steps.error), at),
+        "i": block.add_count(spread(steps.iterations), at),
+        "a": block.add_count(spread(steps.n_active), at),
+        "f": block.add_flag(spread(bits, 0.0), at),
     }
     if steps.rounds > 1:
-        entry["r"] = block.log(spread(steps.raw_ns), at)
+        entry["r"] = block.add_log(spread(steps.raw_ns), at)
     return entry
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
-    """Pack a track, as its distance from `reference` where both keep the same steps."""
+    """Pack a ship's positions and forces, as differences from a reference run."""
     position, force = track.position.copy(), track.force.copy()
     if reference is not None and reference.every == track.every:
         count = min(len(position), len(reference.position))
@@ -192,6 +197,6 @@ def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str,
         force -= reference.force[:count]
     return {
         "every": track.every,
-        "x": [block.linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
-        "u": [block.linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
+        "x": [block.add_linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
+        "u": [block.add_linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
     }

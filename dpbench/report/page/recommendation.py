@@ -18,12 +18,19 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, list_allowed
-from dpbench.report.formats import and_list, error_text, plural, rounded_down, time_text, unmarked
+from dpbench.report.formats import (
+    and_list,
+    error_text,
+    plural,
+    rounded_down,
+    strip_markdown,
+    time_text,
+)
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     NOBODY,
-    clauses,
     deployment_facts,
+    describe_findings,
     explain_no_recommendation,
     judged_runs_text,
     paired_text,
@@ -40,8 +47,8 @@ MOST_INCONCLUSIVE = 2
 
 
 @dataclass(frozen=True)
-class Chip:
-    """Whether the answer holds in `experiment`, by its number; or in how many, without one."""
+class Badge:
+    """Badge on the page: the verdict on the recommended solver in an experiment."""
 
     state_text: str
     mark: str
@@ -50,17 +57,17 @@ class Chip:
 
     @property
     def text(self) -> str:
-        """As it is written where there is no page."""
+        """Text of the badge where there is no page."""
         return f"{self.name}: {self.state_text}" if self.name else self.state_text
 
 
 @dataclass(frozen=True, eq=False)
 class Recommendation:
-    """The headline of the page."""
+    """Headline of the page: solver to use, notes, badges, code to paste."""
 
     sentence: str
     notes: tuple[tuple[str, str], ...]
-    chips: tuple[Chip, ...]
+    chips: tuple[Badge, ...]
     snippets: tuple[tuple[str, str], ...]
     requirements: str
     machine: str
@@ -69,12 +76,12 @@ class Recommendation:
 
     @staticmethod
     def why(verdict: Verdict) -> str:
-        """Explain why a configuration does not pass, or is inconclusive."""
+        """Explain why a configuration does not pass; "" where it passes."""
         if verdict.refusal:
             return verdict.refusal
         if verdict.state == "pass":
             return ""
-        return unmarked(clauses(verdict.causes or verdict.missing))
+        return strip_markdown(describe_findings(verdict.causes or verdict.missing))
 
 
 def build_recommendation(
@@ -102,7 +109,7 @@ def build_recommendation(
     return Recommendation(
         sentence=_recommendation_sentence(data, found),
         notes=tuple(_make_notes(data, found)),
-        chips=tuple(_make_chips(data, first)),
+        chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
         machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
@@ -113,43 +120,45 @@ def build_recommendation(
 
 
 def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
+    """State the solver to use with its p99 and error, or why there is none."""
     chosen = found.chosen
     if chosen is None:
-        return _explain_nothing(data, found)
+        return _explain_no_choice(data, found)
     c = chosen.configuration
     heads = {"pass": "Use", "borderline": "Borderline:"}
     head = heads.get(chosen.state, "Nothing contradicts")
-    lacks = "" if chosen.state == "pass" else f"; {unmarked(clauses(chosen.missing))}"
+    lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
     return (
         f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
-        f"{judged_runs_text(chosen)}{_no_solution(data, c)}, {usual_time_text(chosen)}, "
+        f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
         f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
     )
 
 
-def _no_solution(data: PageData, c: Configuration) -> str:
-    steps, told = data.without_solution(c)
+def _infeasible_steps_text(data: PageData, c: Configuration) -> str:
+    """State how many steps had no solution, and if that was reported; "" for none."""
+    steps, told = data.count_infeasible_steps(c)
     wording = ", and it said so" if told else ""
     return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
-def _explain_nothing(data: PageData, found: SolverChoice) -> str:
-    """Explain why nothing is recommended; empty where no recommendation was asked for."""
+def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
+    """Explain why no solver is recommended; "" where the suite asks for none."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
-        return unmarked(explain_no_recommendation(records, data.verdicts, found))
+        return strip_markdown(explain_no_recommendation(records, data.verdicts, found))
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
 
 
 def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Yield the notes to the recommendation, each under a keyword."""
+    """Yield the notes on the recommended solver, as keyword and text."""
     chosen = found.chosen
     if chosen is None:
         return
     yield "aboard", deployment_facts(chosen.configuration.solver)
-    if slower := slower_text(data, chosen):
+    if slower := speed_margin_text(data, chosen):
         yield "slower", slower
     shortest_ns = shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
@@ -158,15 +167,15 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
-    yield from _open_notes(data, found)
+    yield from _inconclusive_notes(data, found)
     if found.runner_up is not None:
         beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
-def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Yield faster configurations that are inconclusive."""
+def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Yield notes on faster configurations whose verdict is inconclusive."""
     if found.chosen is None or found.chosen.state != "pass":
         return
     known = None if found.faster is None else found.faster.configuration.solver
@@ -176,15 +185,15 @@ def _open_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         if verdict.configuration.solver != known
     ]
     for verdict in others[:MOST_INCONCLUSIVE]:
-        why = "not run in closed loop" if not verdict.loops else unmarked(clauses(verdict.missing))
+        why = Recommendation.why(verdict) if verdict.loops else "not run in closed loop"
         yield (
             "inconclusive",
             f"{verdict.configuration.label} is faster on average, and inconclusive: {why}.",
         )
 
 
-def slower_text(data: PageData, chosen: Verdict) -> str:
-    """State how much slower a computer may be, by the steps that bound it, and the stalls apart."""
+def speed_margin_text(data: PageData, chosen: Verdict) -> str:
+    """State how much slower a computer may be, and the steps that limit it."""
     margin, requirements = data.margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
@@ -205,13 +214,15 @@ def slower_text(data: PageData, chosen: Verdict) -> str:
 
 
 def _slow_step_text(step: SlowStep) -> str:
+    """Describe a slow step: time, scenario, index, iterations, active limits."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
     return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
-def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
+def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
+    """Build the badges of a configuration: its verdict in each experiment."""
     if first is None:
         return []
     c = data.index(first)
@@ -221,7 +232,7 @@ def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
-        Chip(
+        Badge(
             f"{state}{_other_call_modes(data, first, p)}",
             marks[state],
             data.experiments[p].label,
@@ -231,7 +242,7 @@ def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
         if state not in counted
     ]
     sums = [
-        Chip(f"{state} in {counts[state]} of {len(states)}", marks[state])
+        Badge(f"{state} in {counts[state]} of {len(states)}", marks[state])
         for state in counts
         if state in counted
     ]
@@ -239,7 +250,7 @@ def _make_chips(data: PageData, first: Configuration | None) -> list[Chip]:
 
 
 def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
-    """Describe the other call modes of a solver in an experiment where this one was not run."""
+    """State the verdicts in a solver's other call modes where one was not run."""
     if (data.index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}
@@ -250,8 +261,8 @@ def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
     return f" in this call mode ({'; '.join(others)})" if others else ""
 
 
-def call_text(c: Configuration) -> str:
-    """Return the call that opens a configuration, and its settings in numbers if they are known."""
+def python_call_text(c: Configuration) -> str:
+    """Return Python code that opens a solver configuration, with its settings."""
     call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
@@ -265,8 +276,8 @@ def call_text(c: Configuration) -> str:
 
 
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
-    """Yield code to paste by language; C where the solver's record describes it."""
-    yield "Python", call_text(c)
+    """Yield code to paste that opens a solver, by language: Python, C if known."""
+    yield "Python", python_call_text(c)
     options = level_options(c.settings, c.solver)
     known = find_solver_record(c.solver)
     names = known.project.c_settings if known else None

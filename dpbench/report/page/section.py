@@ -9,16 +9,10 @@ from dpbench.report.page.data import PageData
 from dpbench.report.table import Table
 
 
-def _nothing(*_: object) -> dict[str, Any]:
-    return {}
-
-
 @dataclass(frozen=True)
 class Section:
-    """Section that follows the selection, of `templates/ID.html.j2` and `scripts/ID.js`.
+    """Part of the page that follows the reader's selection, with template and script.
 
-    Parameters
-    ----------
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those of them that are on the page before any script has run.
     data : further data of its script, by name; text : paragraph for its template.
@@ -28,9 +22,9 @@ class Section:
 
     id: str
     name: str
-    charts: Callable[[PageData], dict[str, Any]] = _nothing
+    charts: Callable[[PageData], dict[str, Any]] = lambda _: {}
     drawn: tuple[str, ...] = ()
-    data: Callable[[PageData, Results], dict[str, Any]] = _nothing
+    data: Callable[[PageData, Results], dict[str, Any]] = lambda *_: {}
     text: Callable[[PageData], str] = lambda _: ""
     always: bool = False
     live: bool = False
@@ -38,13 +32,13 @@ class Section:
 
     @property
     def template(self) -> str:
-        """Its template, of `templates/`."""
+        """File name of the section's template."""
         return f"{self.id}.html.j2"
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A static figure: the name of its file, the chart, and a line below it."""
+    """Static figure: its file name, the chart, and a caption."""
 
     name: str
     chart: Any
@@ -53,7 +47,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Topic:
-    """Section of lines, figures, tables and a text to paste elsewhere.
+    """Part of the page on one question: lines, figures, tables, a text to paste.
 
     `short` is its name in the line of links, by default its title. The topic that `leads` is the
     question of the suite: its first line is the answer of the page.
@@ -71,5 +65,5 @@ class Topic:
 
     @property
     def name(self) -> str:
-        """Its name in the line of links."""
+        """Name of the topic in the page's row of links."""
         return self.short or self.title

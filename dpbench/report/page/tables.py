@@ -6,10 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import records_of
+from dpbench.analysis.records.run_record import build_records
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.page.data import PageData, number
+from dpbench.report.page.data import PageData, json_number
 
 GROUPS: dict[str, str] = {
     "times": (
@@ -50,7 +50,7 @@ MOST_ROWS = 3000
 
 
 def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
-    """Return the runs as columns of text and numbers; those without any value are left out."""
+    """Return the runs as columns of text and numbers, without empty columns."""
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
@@ -58,7 +58,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in records_of(runs)],
+        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in build_records(runs)],
         "outcome": runs["outcome"],
         "verdict": [
             "" if key is None or data.experiments[key[1]].study else data.state(*key)
@@ -73,7 +73,7 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         for name in names.split():
             kind, meaning = RUN_COLUMNS[name]
             text = kind == "str"
-            cells = [str(x) for x in runs[name]] if text else [number(x) for x in runs[name]]
+            cells = [str(x) for x in runs[name]] if text else [json_number(x) for x in runs[name]]
             if all(x in ("", None) for x in cells):
                 continue
             columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
@@ -89,14 +89,14 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _column_label(name: str) -> dict[str, Any]:
-    """Return the label of a column on the page, and the scale to it: times are microseconds."""
+    """Return a column's label on the page and its scale: times are in microseconds."""
     if not name.endswith("_ns"):
         return {"label": name}
     return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
-def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """Select the tiles of the experiments that the page has room for: those where fewest pass."""
+def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
+    """Select the tiles of the experiments with the fewest passes, as room allows."""
     if len(tiles) <= MOST_TILES:
         return tiles
     experiments = tiles.groupby("experiment", sort=False)["verdict"]

@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.report.formats import share_text
-from dpbench.report.glossary import meanings, topics
+from dpbench.report.glossary import term_meanings, topics
 from dpbench.report.page.data import PageData
 
 _OWN_PHRASES = (
@@ -44,22 +44,22 @@ _OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
 
 
 @dataclass(frozen=True)
-class Word:
-    """A term in the list: the id of its place, itself and its meaning."""
+class GlossaryEntry:
+    """Entry of the page's glossary: anchor, term and meaning."""
 
     id: str
     term: str
     meaning: str
 
 
-def word_of(term: str) -> Word:
-    """Return a term of the glossary."""
+def find_entry(term: str) -> GlossaryEntry:
+    """Return the glossary entry of a term, with its anchor on the page."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
-    return Word(f"word-{slug}", term, meanings()[term])
+    return GlossaryEntry(f"word-{slug}", term, term_meanings()[term])
 
 
 class Terms:
-    """Links to the glossary in the texts of one page, each term once in a section.
+    """Linker of terms in the page's texts to its glossary, once in each section.
 
     listed : terms of the list whether they are met or not, in its order.
     """
@@ -69,7 +69,7 @@ class Terms:
         self._here: set[str] = set()
 
     def section(self) -> str:
-        """Begin a section, where every term is new; writes nothing."""
+        """Start a section, in which every term is linked anew; return ""."""
         self._here.clear()
         return ""
 
@@ -80,56 +80,57 @@ class Terms:
             phrase = found[0].lower()
             term = PHRASES.get(phrase) or PHRASES[phrase.removesuffix("s")]
             if term not in self._here:
-                parts += [escape(text[end : found.start()]), self._link(term, found[0])]
+                parts += [escape(text[end : found.start()]), self._link_term(term, found[0])]
                 end = found.end()
         return Markup("").join([*parts, escape(text[end:])])
 
     def head(self, text: str) -> Markup:
-        """Link the head of a table where it is a term, its unit aside."""
+        """Link a table head to the glossary if it is a term, its unit aside."""
         term = re.sub(r" \[.*\]$", "", text)
         known = term in _OF_HEADS and term not in self._here
-        return self._link(term, text) if known else escape(text)
+        return self._link_term(term, text) if known else escape(text)
 
-    def _link(self, term: str, text: str) -> Markup:
+    def _link_term(self, term: str, text: str) -> Markup:
+        """Return the link of a text to a term's entry; record that it was used."""
         self._here.add(term)
         self._listed[term] = None
-        return self.link(word_of(term), text)
+        return self.link(find_entry(term), text)
 
     @staticmethod
-    def link(word: Word, text: str) -> Markup:
-        """Link a text to a word of the page's lists."""
+    def link(word: GlossaryEntry, text: str) -> Markup:
+        """Return a link from a text to an entry of the page's glossary."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )
 
     @property
-    def words(self) -> list[Word]:
-        """The list as it stands: what was asked for, then what was met beside."""
-        return [word_of(term) for term in self._listed]
+    def words(self) -> list[GlossaryEntry]:
+        """Glossary entries to list: the requested terms, then those that were linked."""
+        return [find_entry(term) for term in self._listed]
 
 
 MOST_EXPERIMENTS = 60
 
 
-def experiment_words(data: PageData) -> dict[int, Word]:
-    """Describe the experiments of verdicts that have a scenario, by number."""
+def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
+    """Describe the scenario of each judged experiment, by experiment index."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
             first[p] = run
     named = {
-        p: _describe_experiment(data, data.experiments[p], first[p])
+        p: _describe_scenario(data, data.experiments[p], first[p])
         for p in data.judged_experiments[:MOST_EXPERIMENTS]
     }
     return {
-        p: Word(f"experiment-{p}", data.experiments[p].label, wording)
+        p: GlossaryEntry(f"experiment-{p}", data.experiments[p].label, wording)
         for p, wording in named.items()
         if wording
     }
 
 
-def _describe_experiment(data: PageData, experiment: Experiment, run: RunRecord) -> str:
-    """Describe the scenario of an experiment, for the page, in plain text."""
+def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -> str:
+    """Describe the scenario of an experiment in plain text, for the page."""
     scenario = data.scenario(run) if run.scenario else None
     if scenario is None:
         return ""
@@ -147,7 +148,7 @@ def _describe_experiment(data: PageData, experiment: Experiment, run: RunRecord)
 
 
 def _describe_replay(data: PageData, run: RunRecord) -> str:
-    """State the window of a replay, and the share of steps with active limits."""
+    """State the window of a replay, and the share of its steps with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.thinned_runs.get(run.run_id)

@@ -18,7 +18,7 @@ _VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 @dataclass(frozen=True)
 class Vendored:
-    """One script: its file and licence in `vendor/`, and the package and path it is from."""
+    """Third-party script on the page: its file, licence, npm package and hash."""
 
     file: str
     package: str
@@ -30,30 +30,30 @@ class Vendored:
 
 
 @cache
-def vendored() -> tuple[Vendored, ...]:
-    """Return all scripts, in the order the page loads them."""
+def vendored_scripts() -> tuple[Vendored, ...]:
+    """Return the third-party scripts, in the order the page loads them."""
     return tuple(
         Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
     )
 
 
 @cache
-def script(entry: Vendored) -> str:
-    """Return the text of a script, safe inside an HTML element."""
+def read_script(entry: Vendored) -> str:
+    """Return the text of a third-party script, safe inside an HTML element."""
     text = _VENDOR.joinpath(entry.file).read_text(encoding="utf-8")
     return text.replace("</script", "<\\/script")
 
 
-def digest(entry: Vendored) -> str:
-    """Return the SHA-256 of the file in `vendor/`."""
+def file_digest(entry: Vendored) -> str:
+    """Return the SHA-256 of a third-party script's file."""
     return hashlib.sha256(_VENDOR.joinpath(entry.file).read_bytes()).hexdigest()
 
 
-def renew() -> None:
-    """Fetch every script of the list anew, and write its hash; needs npm and the registry."""
+def download_scripts() -> None:
+    """Download every third-party script with npm, and write its hash."""
     vendor = Path(__file__).with_name("vendor")
     entries = []
-    for entry in vendored():
+    for entry in vendored_scripts():
         with tempfile.TemporaryDirectory() as folder:
             requested = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
             subprocess.run(requested, cwd=folder, check=True)
@@ -63,10 +63,10 @@ def renew() -> None:
                     taken = archive.extractfile(f"package/{member}")
                     assert taken is not None, f"{entry.package} has no {member}"
                     (vendor / name).write_bytes(taken.read())
-        entries.append(asdict(entry) | {"sha256": digest(entry)})
+        entries.append(asdict(entry) | {"sha256": file_digest(entry)})
     text = json.dumps(entries, indent=2) + "\n"
     (vendor / "vendored.json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    renew()
+    download_scripts()

@@ -14,16 +14,16 @@ from markupsafe import Markup
 from dpbench.bench.record.machine import describe_revisions, describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
-from dpbench.report.charts.render import FORMATS, svg, vega
+from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.data import PageData
 from dpbench.report.page.document import page_document
-from dpbench.report.page.live import SECTIONS, drawn_figures
+from dpbench.report.page.live import SECTIONS, select_static_charts
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.page.tables import GROUPS, MOST_ROWS
-from dpbench.report.page.terms import Terms, experiment_words
-from dpbench.report.page.vendored import script, vendored
+from dpbench.report.page.terms import Terms, describe_experiments
+from dpbench.report.page.vendored import read_script, vendored_scripts
 
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
@@ -62,10 +62,10 @@ def page_html(
     *,
     light: bool = False,
 ) -> str:
-    """Return the whole page.
+    """Return the page of a report as HTML, in one file without dependencies.
 
     folder : where the files are that the page links to.
-    charts : of `charts_of`; topics : sections below those that follow the selection.
+    charts : of `draw_section_charts`; topics : sections below those that follow the selection.
     light : without scripts and the steps they show.
     """
     shown = [
@@ -78,7 +78,7 @@ def page_html(
     }
     lead = next((topic for topic in topics if topic.leads), None)
     *above, last = (section for section in shown if not section.in_topic)
-    experiments = experiment_words(data)
+    experiments = describe_experiments(data)
     numpy = results.machine.get("versions", {}).get("numpy", "")
     started = results.suite.get("started_utc", "")[:10]
     block = ""
@@ -95,13 +95,15 @@ def page_html(
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},
         answer=recommendation,
-        figures={name: figure_markup(chart) for name, chart in drawn_figures(charts).items()},
+        figures={
+            name: figure_markup(chart) for name, chart in select_static_charts(charts).items()
+        },
         lead=lead,
         picture=_picture_address,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),
         studies=len(data.studies),
-        thinned=0 if light else data.thinned,
+        thinned=0 if light else data.thinned_count,
         listed=MOST_ROWS if len(results.runs) > MOST_ROWS else 0,
         run_count=len(results.runs),
         groups=list(GROUPS),
@@ -127,22 +129,22 @@ WORDS = (
 
 
 def use_page_colours(text: str) -> str:
-    """Replace the plain colours of a figure by those of the page."""
+    """Replace the fixed colours of a figure by CSS variables of the page."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
 def _picture_address(chart: Any) -> str:
-    """Encode a figure as a `data:` address, one node of the page, in the colours of the page."""
-    head, rest = use_page_colours(svg(chart)).split(">", 1)
+    """Encode a figure as a `data:` address, in the colours of the page."""
+    head, rest = use_page_colours(render_svg(chart)).split(">", 1)
     colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
 
 
 def software_citation(results: Results) -> str:
-    """Return BibTeX of the dpbench that made a run: version, commit and year of the run."""
+    """Return a BibTeX entry of the dpbench version that made the results."""
     version = f"Software, version {results.suite.get('harness_version', '')}"
     return f"""@misc{{dpbench,
   author = {{{{The dpbench authors}}}},
@@ -154,7 +156,7 @@ def software_citation(results: Results) -> str:
 
 
 def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures as Vega; the narrow matrix takes its tiles from the wide one."""
+    """Return charts as Vega specifications, by name."""
     made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
@@ -163,19 +165,19 @@ def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def figure_markup(chart: Any) -> Markup:
-    """Return a figure as SVG for a page before any script has run."""
-    return Markup(use_page_colours(svg(chart, titled=False)))
+    """Return a chart as SVG in the colours of the page."""
+    return Markup(use_page_colours(render_svg(chart, titled=False)))
 
 
 def vega_specification(chart: Any) -> dict[str, Any]:
-    """Return a figure as Vega, in the colours of the page."""
-    made: dict[str, Any] = json.loads(use_page_colours(json.dumps(vega(chart))))
+    """Return a chart as a Vega specification in the colours of the page."""
+    made: dict[str, Any] = json.loads(use_page_colours(json.dumps(compile_vega(chart))))
     return made
 
 
 def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
-    """Render a page from a template, with the common style and its own scripts."""
-    texts = [*map(script, vendored()), *scripts]
+    """Render a page from its template, with the common style and its scripts."""
+    texts = [*map(read_script, vendored_scripts()), *scripts]
     shown |= {
         "css": Markup(read_page_file("templates/page.css")),
         "scripts": list(map(Markup, texts)),
@@ -185,7 +187,7 @@ def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str
 
 @cache
 def template_environment() -> Environment:
-    """Return the environment of the page's templates."""
+    """Return the Jinja environment of the page's templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),
         autoescape=True,
@@ -197,5 +199,5 @@ def template_environment() -> Environment:
 
 @cache
 def read_page_file(name: str) -> str:
-    """Return a template or script of the page."""
+    """Return the text of a template or script of the page."""
     return files("dpbench.report.page").joinpath(name).read_text(encoding="utf-8")

@@ -27,20 +27,20 @@ from dpbench.report.topics.thrusters import conclusion_topic, thrusters_topic
 from dpbench.report.topics.trust import trust_topic
 
 
-def topics_of(
+def build_topics(
     records: Records,
     verdicts: Verdicts,
     designs: Designs | None = None,
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
 ) -> list[Topic]:
-    """List the topics with content, the suite's own question first.
+    """Build the topics of a result folder, the question of its suite first.
 
     designs, capability : of `load_designs` and `load_capability`.
     known : the studies of these records, if they are already read.
     """
     requirements = verdicts.requirements
-    replays, loops = (_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
+    replays, loops = (_is_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
     candidates = (
         conclusion_topic(records, verdicts),
         worst_case_topic(records),
@@ -71,32 +71,28 @@ _CONTRASTS = ("formulations", "race", "routes", "levels")
 """Questions about the same replays, in their order of precedence; a page answers one."""
 
 
-def _is_mostly_other_forms(records: Records) -> bool:
-    """Return whether over a third of the runs are of another form than the common one."""
-    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
-    return 3 * (len(ships) - len(records.runs)) > len(ships)
-
-
 def _leading_topic(records: Records, topics: Sequence[str]) -> str:
-    """Return the id of the topic that the suite asks; empty where it asks which solver to use."""
-    if "worst-case" in topics:
-        return "worst-case"
-    if "conclusion" in topics:
-        return "conclusion"
+    """Return the id of the topic on the suite's question; "" for which solver to use."""
+    for name in ("worst-case", "conclusion"):
+        if name in topics:
+            return name
     if not records.runs:
         requested = ("study", "slowdown", "random", "consequence", "capability", "trust")
         return next((id for id in requested if id in topics), "")
     if records.delayed or records.random:
         return ""
-    if _all_in_mode(records, "replay"):
+    if _is_all_in_mode(records, "replay"):
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
-    if "formulations" in topics and _is_mostly_other_forms(records):
+    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
+    is_mostly_uncommon = 3 * (len(ships) - len(records.runs)) > len(ships)
+    if "formulations" in topics and is_mostly_uncommon:
         return "formulations"
-    if not _all_in_mode(records, "closed_loop"):
+    if not _is_all_in_mode(records, "closed_loop"):
         return ""
     of_the_paper = {"paper", "paper_tight"} >= {run.scenario for run in records.runs}
     return next((id for id in ("paper",) * of_the_paper + ("loops",) if id in topics), "")
 
 
-def _all_in_mode(records: Records, mode: str) -> bool:
+def _is_all_in_mode(records: Records, mode: str) -> bool:
+    """Return whether all runs are in one mode, replay or closed loop."""
     return all(run.mode == mode for run in records.runs)

@@ -6,12 +6,12 @@ from math import isnan
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, Plot, capability_plots
+from dpbench.analysis.suites.capability import Answers, CapabilityResult, capability_plots
 from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
-    Analysis,
     BatchAnswers,
+    ConsequenceAnalysis,
     consequence_analyses,
 )
 from dpbench.bench.capability.frontier import INTACT
@@ -21,18 +21,18 @@ from dpbench.report.charts.capability import (
     RIGHT_HELD,
     RIGHT_NOT,
     WRONG,
-    answers,
-    draw_rose,
-    shares,
-    spans,
+    draw_answer_shares,
+    draw_capability_rose,
+    draw_loss_spans,
+    draw_sample_shares,
 )
-from dpbench.report.formats import and_list, counted_list, of_sample_text, plural, significant
+from dpbench.report.formats import and_list, counted_list, plural, sample_share_text, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """Return the topic on capability plots; None without one; table : of `load_capability`."""
+    """Build the topic on capability plots of thrusters; None without a plot."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
@@ -40,15 +40,17 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
         id="capability",
         title="Capability",
         lines=tuple(
-            " ".join([*_state_winds(plot), *(_name_right_solvers(plot) if plot.answers else ())])
+            " ".join(
+                [*_least_wind_sentences(plot), *(_name_right_solvers(plot) if plot.answers else ())]
+            )
             for plot in plots
         ),
         figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
     )
 
 
-def _state_winds(plot: Plot) -> Iterator[str]:
-    """State the least wind held all round, intact and after the worst failure."""
+def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
+    """State the least wind held over all directions, intact and after a failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -61,13 +63,14 @@ def _state_winds(plot: Plot) -> Iterator[str]:
 
 
 def _least_wind_text(edges: pd.DataFrame) -> str:
+    """Format the least wind held [m/s] and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def _name_right_solvers(plot: Plot) -> Iterator[str]:
-    """Name the solvers that answer all QPs rightly, and those with untrue claims."""
-    right = sorted(a.solver for a in plot.answers if a.all_right)
+def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
+    """Name the solvers right on all QPs at the edge, and those with untrue claims."""
+    right = sorted(a.solver for a in plot.answers if a.is_all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
@@ -77,19 +80,20 @@ def _name_right_solvers(plot: Plot) -> Iterator[str]:
         yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
-    silent = sum(1 for a in plot.answers if a.silent)
+    silent = sum(1 for a in plot.answers if a.unanswered)
     if silent:
         leave = "leaves" if silent == 1 else "leave"
         yield f"{silent} {leave} some without an answer, or did not get so far in time."
 
 
-def _capability_figures(plot: Plot) -> Iterator[Figure]:
+def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
+    """Yield the figures of a capability plot: wind held, and the solvers' answers."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
         yield Figure(
             f"capability-{plot.vessel}",
-            draw_rose(plot.edges, f"{plot.vessel}: largest wind held"),
+            draw_capability_rose(plot.edges, f"{plot.vessel}: largest wind held"),
             "Each mark is an edge, with QPs before and beyond it that the referee judges"
             + note
             + ".",
@@ -98,14 +102,15 @@ def _capability_figures(plot: Plot) -> Iterator[Figure]:
         rows = [row for a in plot.answers for row in _answer_shares(a)]
         yield Figure(
             f"capability-answers-{plot.vessel}",
-            answers(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
+            draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
             f"{plural(plot.qps, 'QP')}: the rows of the standard's table around each edge, and a "
             "thousandth of the wind before and beyond it.",
         )
 
 
 def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
-    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.silent, WRONG: a.wrong}
+    """Yield the share and number of a solver's answers, by kind of answer."""
+    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.unanswered, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
 
@@ -115,7 +120,7 @@ MOST_ROWS = 8
 
 
 def consequence_topic(records: Records) -> Topic | None:
-    """Return the topic on consequence analyses; None without one."""
+    """Build the topic on consequence analyses; None without one."""
     analyses = consequence_analyses(records)
     if not analyses:
         return None
@@ -126,7 +131,7 @@ def consequence_topic(records: Records) -> Topic | None:
         title="Consequence analysis",
         lines=(
             *(
-                f"{_state_losses(analysis)} {_name_right_configurations(analysis)}"
+                f"{_losses_held_sentence(analysis)} {_name_right_configurations(analysis)}"
                 for analysis in analyses
             ),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
@@ -138,40 +143,42 @@ def consequence_topic(records: Records) -> Topic | None:
     )
 
 
-def _consequence_figures(analysis: Analysis) -> Iterator[Figure]:
+def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
+    """Yield the figures of a consequence analysis: losses held, and solve times."""
     yield Figure(
-        f"consequence-{_file_name(analysis)}",
-        spans(analysis.spans, f"Losses held, {analysis.name}"),
+        f"consequence-{_analysis_file_name(analysis)}",
+        draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
         "Proven for the mean force of each sample: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
     marks = [
-        {"name": a.name, "percent": 100.0 * a.largest, "right": a.all_right}
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.is_all_right}
         for a in sorted(timed, key=lambda a: a.largest)
     ]
     if marks:
         yield Figure(
-            f"consequence-time-{_file_name(analysis)}",
-            shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            f"consequence-time-{_analysis_file_name(analysis)}",
+            draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
             "The best configuration of each solver; the QPs of all groups at one sample.",
         )
 
 
-def _file_name(analysis: Analysis) -> str:
-    """Return `thrusters-350-550` for `thrusters[350:550]`."""
+def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
+    """Return the name of a consequence analysis as part of a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _state_losses(analysis: Analysis) -> str:
-    """State which losses can be held when, those of the same answer together."""
+def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
+    """State which losses of thrusters can be held, and when."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        wording.setdefault(_time_held(of_group), []).append(str(group))
+        wording.setdefault(_time_held_text(of_group), []).append(str(group))
     parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
     return f"In {analysis.name} {'; '.join(parts)}."
 
 
-def _time_held(of_group: pd.DataFrame) -> str:
+def _time_held_text(of_group: pd.DataFrame) -> str:
+    """Describe when a loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -186,43 +193,41 @@ def _time_held(of_group: pd.DataFrame) -> str:
     return f"in {100.0 * share:.0f} % of the time"
 
 
-def _name_right_configurations(analysis: Analysis) -> str:
-    """Name the solvers that answer all QPs rightly, the fastest of them, and missed alarms."""
+def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
+    """Name the configurations right on all QPs, the fastest, and missed alarms."""
     answers = analysis.answers
-    right = [a for a in answers if a.all_right]
+    right = [a for a in answers if a.is_all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
-        share, batch = of_sample_text(best.largest), plural(len(analysis.groups), "QP")
+        share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
-    silent = sum(1 for a in answers if a.silent)
+    silent = sum(1 for a in answers if a.unanswered)
     leave = "leaves" if silent == 1 else "leave"
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
-    return f"{head}; {_missed_alarms(answers)}{unanswered}."
-
-
-def _missed_alarms(answers: Sequence[BatchAnswers]) -> str:
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
-    return f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    return f"{head}; {alarms}{unanswered}."
 
 
-def _solver_rows(analysis: Analysis) -> Iterator[dict[str, str]]:
+def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
+    """Yield the table row of each solver's best configuration."""
     for solver, best in analysis.best.items():
-        right = [answers.all_right for answers in analysis.answers if answers.solver == solver]
-        yield row_of(best, right)
+        right = [answers.is_all_right for answers in analysis.answers if answers.solver == solver]
+        yield consequence_row(best, right)
 
 
-def row_of(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
-    """Return the cells of a solver by their heads; `right`: of each of its configurations."""
+def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+    """Return a solver's row in the table of a consequence analysis."""
     return {
         "configuration": best.name,
-        "p99 share": of_sample_text(best.p99),
-        "largest share": of_sample_text(best.largest),
+        "p99 share": sample_share_text(best.p99),
+        "largest share": sample_share_text(best.largest),
         "held": f"{best.held} of {best.feasible}",
         "not held": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),
         "other untrue claims": str(best.untrue - best.missed),
-        "no answer": str(best.silent),
+        "no answer": str(best.unanswered),
         "configurations all right": f"{sum(right)} of {len(right)}",
     }

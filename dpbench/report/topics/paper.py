@@ -9,10 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, State, assess_claim, find_paper_runs, is_of_paper
+from dpbench.analysis.suites.paper import (
+    PAPER,
+    State,
+    assess_claim,
+    find_paper_runs,
+    is_paper_scenario,
+)
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
-from dpbench.report.charts.ship import forces, increments, path, precision
-from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
+from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
+from dpbench.report.formats import MISSING, rounded_down, rounded_up, strip_markdown
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.report.words import fill_template, read_words
@@ -24,25 +30,25 @@ CITATION = """@misc{xia_dp_mpc,
 }"""
 """A copy of the paper names neither the conference nor the year."""
 DRAWN = (
-    ("path", path, "Fig. 4: path with the 1 m circle."),
-    ("errors", precision, "Fig. 5: errors of position and heading."),
-    ("forces", forces, "Fig. 6: forces with their limits."),
-    ("increments", increments, "Fig. 7: increments with the rate limits."),
+    ("path", draw_path, "Fig. 4: path with the 1 m circle."),
+    ("errors", draw_pose_errors, "Fig. 5: errors of position and heading."),
+    ("forces", draw_forces, "Fig. 6: forces with their limits."),
+    ("increments", draw_increments, "Fig. 7: increments with the rate limits."),
 )
 """Figures 4 to 7: name, function, caption."""
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """Return the topic on the paper; None without the paper's own scenario."""
+    """Build the topic on the paper's figures and claims; None without its scenario."""
     laws, scenario = find_paper_runs(records), records.scenario(PAPER)
-    judged = claims(records)
+    judged = judge_claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
     others = {"not": "not reproduced", "the opposite": "opposite"}
     wording = [count_reproduced(measured)]
     for word, state in others.items():
-        names = [unmarked(claim.claim) for claim in measured if claim.state == state]
+        names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
         wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
@@ -59,7 +65,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             ),
             Table(
                 ("left open", "chosen"),
-                tuple(choices(records)),
+                tuple(list_choices(records)),
                 "What the paper leaves open",
                 folded=True,
             ),
@@ -69,14 +75,14 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
 
 
 def count_reproduced(judged: Sequence[Claim]) -> str:
-    """State how many of the measured claims are reproduced."""
+    """State how many of the paper's measured claims are reproduced."""
     states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
 def _stability_table(designs: Designs) -> Table:
-    """Tabulate the largest root of paper eq. 35 and the sway offset held, of each controller."""
+    """Tabulate each controller's spectral radius and the sway offset it holds."""
     return Table(
         (
             "controller",
@@ -98,7 +104,7 @@ def _stability_table(designs: Designs) -> Table:
 
 
 def _bracket_text(bracket: Bracket | None) -> str:
-    """Format a bracket, rounded outwards: held – not held."""
+    """Format the range between the largest offset held and the least not held [m]."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -113,14 +119,14 @@ _WORDS = read_words(__file__)
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, what was found, and whether it is reproduced."""
+    """Claim of the paper, what was measured, and whether it is reproduced."""
 
     claim: str
     found: str
     state: State
 
 
-def claims(records: Records) -> list[Claim]:
+def judge_claims(records: Records) -> list[Claim]:
     """Judge all claims, in the order of the paper."""
     requested = [(text, assess_claim(records, where, by)) for text, where, by in _WORDS["claims"]]
     wording = _WORDS["found"]
@@ -129,10 +135,10 @@ def claims(records: Records) -> list[Claim]:
     ]
 
 
-def choices(records: Records) -> list[tuple[str, str]]:
+def list_choices(records: Records) -> list[tuple[str, str]]:
     """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
     scenario = records.scenario(PAPER)
-    if scenario is None or not is_of_paper(records, PAPER):
+    if scenario is None or not is_paper_scenario(records, PAPER):
         return []
     chosen = {
         "vessel": scenario.vessel,

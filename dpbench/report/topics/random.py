@@ -6,14 +6,14 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims, Tally
-from dpbench.report.charts.lines import tiles
+from dpbench.report.charts.lines import draw_count_tiles
 from dpbench.report.formats import and_list
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
-    """Count the false claims of each solver, the most first, and name solvers without any."""
+    """State the number of false claims of each solver, the most first."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
     wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
@@ -21,15 +21,15 @@ def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
 
 
 def random_topic(records: Records) -> Topic | None:
-    """Return the topic on random QPs with known optima; None without one."""
+    """Build the topic on random QPs with known optima; None without one."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None
-    by_solver = claims.by("solver")
+    by_solver = claims.tally_by("solver")
     table = pd.DataFrame(
         [
             {"x": family, "y": solver, "count": tally.wrong}
-            for (solver, family), tally in claims.by("solver", "family").items()
+            for (solver, family), tally in claims.tally_by("solver", "family").items()
         ]
     )
     rows = sorted(by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0]))
@@ -43,12 +43,17 @@ def random_topic(records: Records) -> Topic | None:
             f"{_false_claims_by_solver(by_solver)}.",
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
-        figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
+        figures=(
+            Figure(
+                "random-claims", draw_count_tiles(table, "False claims", "family", "solver"), ""
+            ),
+        ),
         tables=(Table.of([_claims_row(name, tally) for (name,), tally in rows]),),
     )
 
 
 def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
+    """Return a solver's counts of true and false claims as a table row."""
     return {
         "solver": solver,
         "steps": str(tally.steps),

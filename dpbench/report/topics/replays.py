@@ -12,11 +12,11 @@ from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import Interval, paired_ratio
 from dpbench.analysis.times.contrasts import (
-    common_replays,
-    fastest_forms,
+    compare_routes,
+    count_fastest_forms,
+    find_right_levels,
+    match_replays,
     match_steps,
-    right_levels,
-    route_gains,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
 from dpbench.bench.judge.rules import median_known, percentile
@@ -36,12 +36,12 @@ from dpbench.report.verdict_text import answer_text
 
 
 def routes_topic(records: Records) -> Topic | None:
-    """Compare call modes: cost of the wrapper, gain of keeping a workspace; else None."""
+    """Build the topic on call modes: cost of the wrapper, gain of a kept workspace."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for found in route_gains(records, sequence):
+        for found in compare_routes(records, sequence):
             change = f"{' '.join(found.above)} → {' '.join(found.route)}"
             gains.setdefault(change, []).append(found.gain.value)
             figures = _ratio_text(found.gain), time_text(found.median_ns)
@@ -61,14 +61,14 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """Format a ratio with its 95 % interval, where there are steps enough for one."""
+    """Format a ratio with its 95 % interval, where it has one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
 def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Compare the formulations of the same QPs; None where no sequence was run in two."""
+    """Build the topic on QP formulations; None if no sequence was run in two."""
     tables = _median_tables(
         records,
         requirements,
@@ -86,7 +86,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Compare the settings levels; None where there is but one."""
+    """Build the topic on settings levels; None where there is but one."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     tables = _median_tables(
         records,
@@ -105,8 +105,8 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
-    """Name the solvers that are right on every step with default settings, and with others only."""
-    good = right_levels(records, requirements)
+    """Name the solvers right on every step by default, and with other settings only."""
+    good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"
@@ -121,11 +121,11 @@ def _right_levels_text(records: Records, requirements: Requirements) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Compare two solvers on the same steps, in one call mode and at one setting; else None."""
+    """Build the topic that compares two solvers step by step; None for other suites."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
-    replays = list(common_replays(records, first, second))
+    replays = list(match_replays(records, first, second))
     if len({run.configuration.options for run, *_ in replays}) != 1:
         return None
     rows, wording = [], []
@@ -150,7 +150,7 @@ def _median_tables(
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """Tabulate median step times by sequence: rows by `kept`, columns by `varied`."""
+    """Tabulate median step times by sequence, rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
     problems = group_by(replays, lambda run: (run.sequence, run.units))
@@ -169,8 +169,8 @@ def _median_tables(
 
 
 def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
-    """Count how often each form is the fastest right one."""
-    wins = fastest_forms(records, requirements)
+    """State how often each QP formulation is the fastest with right answers."""
+    wins = count_fastest_forms(records, requirements)
     wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
         "Fastest form with right answers, of "
@@ -188,7 +188,7 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
 
 
 def worst_case_topic(records: Records) -> Topic | None:
-    """Return the topic on the step that a search found; None where the suite names none."""
+    """Build the topic on the worst step that a search found; None without a search."""
     requested = records.suite.get("report", {})
     k = requested.get("step")
     if k is None:
@@ -201,7 +201,7 @@ def worst_case_topic(records: Records) -> Topic | None:
         return None
     searched = str(requested.get("configuration") or "")
     rows.sort(key=lambda row: (row[0] != searched, row[0]))
-    lead = [_state_step(row, k) for row in rows[:1]]
+    lead = [_step_sentence(row, k) for row in rows[:1]]
     head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
     return Topic(
         "worst-case",
@@ -213,7 +213,7 @@ def worst_case_topic(records: Records) -> Topic | None:
 
 
 def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
-    """Return the cells of one configuration at the step; None where it did not get there."""
+    """Return a configuration's time, iterations and error at one step, as text."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
         return None
@@ -229,7 +229,8 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
     )
 
 
-def _state_step(row: tuple[str, ...], k: int) -> str:
+def _step_sentence(row: tuple[str, ...], k: int) -> str:
+    """State a configuration's time, iterations and error at one step."""
     name, took, median, iterations, usual, error, answer = row
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     return (
@@ -239,7 +240,7 @@ def _state_step(row: tuple[str, ...], k: int) -> str:
 
 
 def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Return the topic on closed loops; None without one."""
+    """Build the topic on solvers in closed loop; None without a loop."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
     by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
@@ -260,7 +261,8 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
         lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
     rows = [
-        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"} | _control_cells(runs)
+        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"}
+        | _control_columns(runs)
         for name, runs in by_name.items()
     ]
     rows.sort(key=lambda row: -whole[row["configuration"]])
@@ -268,8 +270,8 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
 
 
-def _control_cells(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Count fallbacks, and find the largest distance from the exact loop."""
+def _control_columns(runs: Sequence[RunRecord]) -> dict[str, str]:
+    """Count a configuration's fallbacks; find its largest distance from the exact loop."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
     worst = max(off, key=lambda run: run.dev_position_max_m, default=None)

@@ -16,14 +16,14 @@ from dpbench.analysis.suites.study import (
     StudiedConfiguration,
     Study,
 )
-from dpbench.report.charts.study import behind, held_lines, held_maps
+from dpbench.report.charts.study import draw_excess_errors, draw_held_lines, draw_held_maps
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """Return the topic on studies; None without one."""
+    """Build the topic on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(
@@ -36,6 +36,7 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
+    """Yield sentences on a study: runs, larger errors, share held, tolerances."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -89,7 +90,7 @@ def _share_with_bound(share: float, study: Study) -> str:
 
 
 def _loosest_text(study: Study) -> str:
-    """Name the loosest tolerance of each solver that costs next to nothing."""
+    """State the loosest tolerance of each solver that costs next to nothing."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -104,6 +105,7 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
+    """Yield the figures of a study: share of seas held, and excess errors."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -111,16 +113,18 @@ def _study_figures(study: Study) -> Iterator[Figure]:
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
-        chart = held_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        chart = draw_held_maps(maps, title, keys[0], keys[1], drawn=drawn)
         where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
         caption = f"Share of seas {where}; a run that did not end is not held."
         yield Figure(f"study-held-{name}", chart, caption)
     elif keys:
-        chart = held_lines(maps, title, keys[0])
+        chart = draw_held_lines(maps, title, keys[0])
         yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
     table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
-        chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
+        chart = draw_excess_errors(
+            table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M
+        )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
             f"A dot a realisation{of}, the mean with its 95 % interval where there is one; the "
@@ -130,6 +134,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
+    """Yield the tables of a study: its configurations, and its points."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
@@ -149,12 +154,15 @@ def _study_tables(study: Study) -> Iterator[Table]:
 
 
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+    """Return a studied configuration's table row: runs held, cost, excess error."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
+    cost = configuration.cost
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
         "held": _share_with_bound(configuration.held, study),
-        "cost over exact": f"{_percent_text(configuration.cost)} %",
+        # Rounding alone is 0.
+        "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
         "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
     }
@@ -165,6 +173,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
 
 
 def _difference_text(difference: PairedDifference, scale: float) -> str:
+    """Format a mean difference, scaled, with its interval."""
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
@@ -175,10 +184,6 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
-def _percent_text(share: float) -> str:
-    """Format a share in percent to two digits; rounding alone is 0."""
-    return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
-
-
 def _mean_excess_m(configuration: StudiedConfiguration) -> float:
+    """Return a configuration's mean excess error [m]; 0 for the reference."""
     return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value

@@ -7,16 +7,21 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
-from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, count_moves, find_sweeps
+from dpbench.analysis.times.horizon_sweep import (
+    Sweep,
+    SweptConfiguration,
+    count_variables,
+    find_sweeps,
+)
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
-from dpbench.report.charts.lines import lines
+from dpbench.report.charts.lines import draw_lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Show the growth of step times with the horizon; None where it was not varied."""
+    """Build the topic on step time against horizon; None if it was not varied."""
     figures, tables = [], []
     all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
@@ -26,7 +31,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
             name = swept.configuration.label
             growth = swept.growth
             points += [
-                {"name": name, "x": count_moves(h), "y": p.median_ns / 1e3, "good": p.right}
+                {"name": name, "x": count_variables(h), "y": p.median_ns / 1e3, "good": p.right}
                 for h, p in swept.timed.items()
             ]
             rows.append(
@@ -37,7 +42,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
                 }
             )
         if points:
-            chart = lines(
+            chart = draw_lines(
                 pd.DataFrame(points),
                 f"Step time over the size of the QP, {sweep.name}",
                 ("variables", "d"),
@@ -57,7 +62,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
-    """Name the configurations of the longest horizon, a sentence for each scenario."""
+    """State the longest horizon in time, and its solvers, for each scenario."""
     wording = []
     for sweep in all_sweeps:
         largest = {
@@ -69,7 +74,7 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
         if not largest:
             wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
-        longest = max(largest.values(), key=count_moves)
+        longest = max(largest.values(), key=count_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
         some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
@@ -81,24 +86,24 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
 
 
 def _judging_statistic(sweep: Sweep) -> str:
-    """Return the statistic that a horizon is judged by."""
+    """Return what must be within the time limit: the p99, or each of few steps."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
 def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """Return the longest horizon within a limit: `≥` if no longer one has a p99, `?` in doubt."""
+    """Format a configuration's longest horizons within a time limit, `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
-    doubt = " ?" if sweep.has_p99 and not swept.settled(limit_ns) else ""
+    doubt = " ?" if sweep.has_p99 and not swept.is_settled(limit_ns) else ""
     if largest is None:
         return f"none{doubt}"
-    least = "≥ " if sweep.has_p99 and not swept.measured_beyond(largest) else ""
+    least = "≥ " if sweep.has_p99 and not swept.has_p99_beyond(largest) else ""
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 
 def slowdown_topic(records: Records) -> Topic | None:
-    """Show the effect of slower computers on the ship; None where none was simulated."""
+    """Build the topic on slower computers; None where none was simulated."""
     figures, tables = [], []
     groups = delayed_groups(records)
     for group in groups:
@@ -115,7 +120,7 @@ def slowdown_topic(records: Records) -> Topic | None:
         ]
         if points:
             title = f"Cost of the loop on a slower computer, {group.scenario}"
-            chart = lines(
+            chart = draw_lines(
                 pd.DataFrame(points),
                 title,
                 ("times slower than this machine", "~g"),
@@ -135,16 +140,20 @@ def slowdown_topic(records: Records) -> Topic | None:
 
 
 def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
+    """Return the largest slow-down that a configuration survives as a table row."""
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
-        "survives ×": MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
+        "survives ×": MISSING
+        if math.isnan(delayed.survived_slowdown)
+        else f"{delayed.survived_slowdown:g}",
         "latest answer": time_text(latest_ns),
     }
 
 
 def _survivors_text(group: DelayedGroup) -> str:
-    survivors = [c for c in group.configurations if c.survives > 0]
-    best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
+    """State which configurations survive the largest slow-down."""
+    survivors = [c for c in group.configurations if c.survived_slowdown > 0]
+    best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
     wording = ", ".join(best) if best else "nobody survives a slow-down"
     return f"Slower computers, {group.scenario}: {wording}."

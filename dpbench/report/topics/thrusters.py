@@ -12,16 +12,16 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.suites.consequence import (
     HELD,
-    Analysis,
+    ConsequenceAnalysis,
+    answers_in_all,
     consequence_analyses,
-    in_all,
     largest_share,
 )
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
-    compare_commanded,
+    compare_thrusters_with_forces,
     is_about_thrusters,
     largest_ratio,
     late_losses,
@@ -31,9 +31,9 @@ from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import (
     MISSING,
     and_list,
-    of_sample_text,
     plural,
     rounded_up,
+    sample_share_text,
     significant,
 )
 from dpbench.report.page.section import Topic
@@ -46,16 +46,16 @@ LIKE = 0.01
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Return the topic on power and wear; None without commanded thrusters."""
+    """Build the topic on power and wear of thrusters by solver; None without any."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _load_sentence(best, configurations, requirements)
+    lead = _thruster_load_sentence(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
-    rows = [row_of(name, of_it, best, requirements) for name, of_it in configurations.items()]
+    rows = [wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()]
     rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
@@ -70,11 +70,12 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
-def _load_sentence(
+def _thruster_load_sentence(
     best: dict[str, RunRecord],
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
+    """State how long a thruster is at its limit, and how many solvers get that right."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -89,10 +90,10 @@ def _load_sentence(
     )
 
 
-def row_of(
+def wear_row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """Return the cells of a configuration by their heads."""
+    """Return a configuration's table row: loops right, power, wear, deviation."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
@@ -107,7 +108,7 @@ def row_of(
 
 
 def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
-    """Return the largest ratio of a metric to that of the best loop, over the scenarios."""
+    """Format the largest ratio of a metric to that of the best loop."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
         return MISSING
@@ -115,27 +116,27 @@ def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: s
 
 
 def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
-    """Return the conclusion for a suite about thrusters, else None."""
+    """Build the topic of conclusions for an operator, for a suite about thrusters."""
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
-    commanded = compare_commanded(records, requirements)
+    commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
-    first = [_name_solver(chosen, requirements), _compare_with_forces(commanded)]
+    first = [_solver_to_use_sentence(chosen, requirements), _compare_with_forces(commanded)]
     second = [
-        *_state_offset_after_loss(records, chosen, requirements),
-        *_state_consequence(records, chosen),
+        *_offset_after_loss_sentences(records, chosen, requirements),
+        *_consequence_sentences(records, chosen),
     ]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
-    """Name the solver to use, and its share of the deadline."""
+def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) -> str:
+    """State which solver to use for thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
-    share = of_sample_text(chosen.algo_max_ns / requirements.deadline_ns)
+    share = sample_share_text(chosen.algo_max_ns / requirements.deadline_ns)
     if chosen.state != "pass":
         label = chosen.configuration.label
         return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
@@ -145,39 +146,35 @@ def _name_solver(chosen: Verdict | None, requirements: Requirements) -> str:
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
-    """Name the solvers that pass with three forces but not with thrusters; else those that pass."""
+    """State which solvers pass with three forces but not with thrusters."""
     before = commanded.passing_with_forces
     if not before:
-        fine, run = len(commanded.fine), len(commanded.with_thrusters)
-        wording = [f"{fine} of {plural(run, 'solver')} {_pass_verb(fine)}"]
+        fine, run = len(commanded.passing), len(commanded.with_thrusters)
+        wording = [f"{fine} of {plural(run, 'solver')} {'passes' if fine == 1 else 'pass'}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
-        missing, unknown = commanded.missing, commanded.undecided
+        missing, unknown = commanded.failing, commanded.undecided
         wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
     lost, where = commanded.passing_with_forces_only, and_list(list(commanded.forces))
-    head = f"Of {plural(len(before), 'solver')} that {_pass_verb(len(before))} with "
-    head += f"three forces ({where})"
+    verb = "passes" if len(before) == 1 else "pass"
+    head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
     if not lost:
         return f"{head}, none fails with thrusters."
     fail = "fails" if len(lost) == 1 else "fail"
     return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
 
 
-def _pass_verb(count: int) -> str:
-    return "passes" if count == 1 else "pass"
-
-
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """List solvers with their fault, those of the same fault together."""
+    """List solvers with what they fail by, those of the same fault together."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
 
-def _state_offset_after_loss(
+def _offset_after_loss_sentences(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
-    """State how far off the ship is after thrusters are lost, where the answers are right."""
+    """State how far off the ship is after thrusters are lost."""
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
@@ -192,20 +189,20 @@ def _state_offset_after_loss(
             )
 
 
-def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str]:
-    """State the further losses that could be held, the solvers that report so, and their times."""
+def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
+    """State which further losses could be held, and which solvers report so."""
     analyses = consequence_analyses(records)
     if not analyses:
         return
-    yield f"{', '.join(map(_state_end, analyses)).capitalize()}."
-    own = in_all(analyses)
-    right = [name for name, of_it in own.items() if all(a.all_right for a in of_it)]
+    yield f"{', '.join(map(_losses_at_end_text, analyses)).capitalize()}."
+    own = answers_in_all(analyses)
+    right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
     wording = ["nobody answers all of that rightly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
-        share = of_sample_text(timed[best])
+        share = sample_share_text(timed[best])
         wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
     label = "" if chosen is None else _batch_name(chosen, own)
     if label and label not in right:
@@ -218,7 +215,7 @@ def _state_consequence(records: Records, chosen: Verdict | None) -> Iterator[str
 
 
 def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
-    """Return the name of the chosen configuration among some names; "" where it is none of them."""
+    """Return a configuration's name among given names; "" where it is none of them."""
     c = chosen.configuration
     level = "" if c.settings == "default" else f", {c.settings}"
     known = (
@@ -229,7 +226,7 @@ def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
     return next((name for name in known if name in names), "")
 
 
-def _state_end(analysis: Analysis) -> str:
+def _losses_at_end_text(analysis: ConsequenceAnalysis) -> str:
     """State how many losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())

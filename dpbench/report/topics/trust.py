@@ -10,14 +10,14 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
     calibration_medians,
     delayed_runs,
-    disturbance_of,
     round_spread,
     shortest_wait_ns,
     timed_runs,
+    total_disturbance,
 )
 from dpbench.bench.judge.calibration import excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
-from dpbench.report.charts.lines import dots
+from dpbench.report.charts.lines import draw_dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
 from dpbench.report.machine_verdict import disturbance_facts, list_own_switches, machine_facts
 from dpbench.report.page.section import Figure, Topic
@@ -31,8 +31,8 @@ COVERED = (
 )
 
 
-def _spread_lines(records: Records) -> list[str]:
-    """State from which ratio two times differ: within a run, and between runs."""
+def _round_spread_sentences(records: Records) -> list[str]:
+    """State by which ratio two times must differ, within a run and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
         return []
@@ -61,8 +61,8 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     )
 
 
-def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """State how quiet the machine was while replays were timed."""
+def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
+    """State how far other load disturbed the machine while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -77,29 +77,30 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
 
 
 def _unwatched_text(machine: Mapping[str, Any]) -> str:
+    """State which properties the machine hides, such as its frequency; "" for none."""
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
-    """Return the topic on measurement quality; None where nothing was timed."""
+    """Build the topic on measurement quality; None where nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
-    disturbance = disturbance_of(timed)
+    disturbance = total_disturbance(timed)
     medians = calibration_medians(records.calibration)
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _spread_lines(records)
+    lines = _round_spread_sentences(records)
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
-        chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
+        chart = draw_dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
-        lines.append(_quiet_text(disturbance, records.machine))
+        lines.append(_machine_load_text(disturbance, records.machine))
     data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),

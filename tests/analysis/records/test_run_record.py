@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import Count, RunRecord, records_of
+from dpbench.analysis.records.run_record import Count, RunRecord, build_records
 from dpbench.bench.judge.rules import counting_rows
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.recorded_steps import StepsInMemory
@@ -31,7 +31,7 @@ DERIVED = [
 
 
 def _record(**columns: Any) -> RunRecord:
-    (record,) = records_of(as_runs(pd.DataFrame([columns])))
+    (record,) = build_records(as_runs(pd.DataFrame([columns])))
     return record
 
 

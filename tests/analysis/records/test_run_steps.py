@@ -10,7 +10,7 @@ from dpbench.analysis.records.run_steps import (
     MEASURES,
     Measure,
     RunSteps,
-    counting_of,
+    counting_rows,
     find_hardest_steps,
     run_steps,
 )
@@ -27,7 +27,7 @@ def _several(records: Any) -> pd.DataFrame:
 
 
 def _by_run(steps: pd.DataFrame) -> dict[str, RunSteps]:
-    return dict(run_steps(counting_of(steps)))
+    return dict(run_steps(counting_rows(steps)))
 
 
 def _floats(column: Any) -> Any:
@@ -36,7 +36,7 @@ def _floats(column: Any) -> Any:
 
 def test_every_run_with_a_counting_step_is_there_once(records: Any) -> None:
     steps = _several(records)
-    found = [name for name, _ in run_steps(counting_of(steps))]
+    found = [name for name, _ in run_steps(counting_rows(steps))]
     assert found == ["run0000", "run0001", "run0002"]
 
 

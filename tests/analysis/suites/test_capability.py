@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, answers_of, capability_plots
+from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
@@ -39,7 +39,7 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
 def asked(results: Results) -> list[Answers]:
     """The answers of all runs."""
     records = Records(results)
-    return answers_of(records, records.runs)
+    return count_answers(records, records.runs)
 
 
 def test_claims_are_held_against_certificates(records: Any) -> None:
@@ -103,7 +103,7 @@ def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
     (plot,) = capability_plots(edge_runs(records), plot_table())
     assert plot.edges["untrue"].tolist() == [0, 1]
     assert plot.edges["wind_mps"].tolist() == [20.0, 12.0]
-    assert {a.solver: (a.right, a.wrong, a.silent) for a in plot.answers} == {
+    assert {a.solver: (a.right, a.wrong, a.unanswered) for a in plot.answers} == {
         "quadprog": (4, 0, 0),
         "osqp": (2, 1, 1),
     }

@@ -94,7 +94,7 @@ def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
         "daqp": (8, 6, 1, 6, 1, 0, 0),
         "osqp": (8, 6, 2, 4, 0, 1, 3),
     }
-    assert [a.all_right for a in analysis.answers] == [True, False, False]
+    assert [a.is_all_right for a in analysis.answers] == [True, False, False]
 
 
 def test_a_batch_takes_what_its_groups_take_together(storm: Records) -> None:

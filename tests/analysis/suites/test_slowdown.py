@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
 from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.topics.capability import consequence_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.sweeps import slowdown_topic
@@ -47,7 +47,7 @@ def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
     """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
     fill(records)
     survives = {
-        configuration.configuration.solver: configuration.survives
+        configuration.configuration.solver: configuration.survived_slowdown
         for configuration in group_of(records).configurations
     }
     assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
@@ -58,7 +58,7 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
     slow(records, "daqp", 1, 100.0, limit_violations=1)
     slow(records, "osqp", 1, 100.0, done=119, outcome="timed_out")
     configurations = group_of(records).configurations
-    assert all(math.isnan(configuration.survives) for configuration in configurations)
+    assert all(math.isnan(configuration.survived_slowdown) for configuration in configurations)
     ratios = {
         configuration.configuration.solver: cost_ratio(configuration.loops[1.0])
         for configuration in configurations
@@ -100,7 +100,7 @@ def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
     fill(records)
     after = records.view()
     assert [run.run_id for run in after.runs] == [run.run_id for run in before.runs]
-    old, new = (verdicts_of(view, Requirements()).all for view in (before, after))
+    old, new = (judge_solvers(view, Requirements()).all for view in (before, after))
     assert [(v.configuration, v.state, v.loops, v.steps) for v in new] == [
         (v.configuration, v.state, v.loops, v.steps) for v in old
     ]

@@ -71,7 +71,7 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
             if a.configuration.solver == solver
         )
         limit_ns = configuration.points[100, 20].p99_ns / factor
-        assert configuration.settled(limit_ns) is (solver == "osqp")
+        assert configuration.is_settled(limit_ns) is (solver == "osqp")
 
 
 def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
@@ -118,7 +118,7 @@ def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps
     best = {solver: swept for (solver, _), swept in _best(records).items()}
     within = {solver: swept.largest_within(1e6) for solver, swept in best.items()}
     assert within == {"daqp": (100, 20), "osqp": (60, 10), "piqp": (60, 10)}
-    beyond = {solver: swept.measured_beyond((60, 10)) for solver, swept in best.items()}
+    beyond = {solver: swept.has_p99_beyond((60, 10)) for solver, swept in best.items()}
     assert beyond == {"daqp": True, "osqp": True, "piqp": False}
     assert best["daqp"].largest_within(1e7) == (200, 40)
 

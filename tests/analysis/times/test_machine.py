@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.machine import disturbance_of, round_spread, timed_runs
+from dpbench.analysis.times.machine import round_spread, timed_runs, total_disturbance
 from dpbench.report.formats import and_list, share_text
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -96,7 +96,7 @@ def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
     records.replay("quadprog", **same)
     records.replay("quadprog", **(same | {"settings": "high"}))
     view = records.view()
-    found = disturbance_of(timed_runs(view))
+    found = total_disturbance(timed_runs(view))
     assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
     assert records.ending()["machine"] == "quiet."
     records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))

@@ -12,7 +12,7 @@ from dpbench.analysis.times.contrasts import (
     WRAPPED_WARM,
     RouteGain,
     RoutePolicy,
-    route_gains,
+    compare_routes,
 )
 
 CALM = {"spread": 0.05, "steps": 1000}
@@ -29,7 +29,7 @@ def _routes(records: Any, solver: str, *medians_us: float | None, **warm: Any) -
 
 def _gains(records: Any) -> dict[RoutePolicy, RouteGain]:
     """Of the only solver, by route and policy."""
-    return {gain.route: gain for gain in route_gains(records.view(), "paper")}
+    return {gain.route: gain for gain in compare_routes(records.view(), "paper")}
 
 
 def test_each_step_down_is_a_ratio_to_the_way_above(records: Any) -> None:
@@ -71,7 +71,7 @@ def test_gain_of_a_warm_start_through_the_wrapper(records: Any) -> None:
         records.replay(solver, median_us=10.0, spread=0.05, route="native")
     gains = {
         gain.solver: gain.gain.value
-        for gain in route_gains(records.view(), "paper")
+        for gain in compare_routes(records.view(), "paper")
         if gain.route == WRAPPED_WARM
     }
     assert gains["helped"] == pytest.approx(2.0, rel=0.01)
@@ -84,7 +84,7 @@ def test_settings_are_compared_level_by_level(records: Any) -> None:
             records.replay(
                 "osqp", route=route, policy=policy, settings=settings, median_us=median_us, **CALM
             )
-    gains = route_gains(records.view(), "paper")
+    gains = compare_routes(records.view(), "paper")
     assert [(gain.settings, gain.route) for gain in gains] == [
         ("default", NATIVE),
         ("high", NATIVE),
@@ -95,4 +95,4 @@ def test_settings_are_compared_level_by_level(records: Any) -> None:
 def test_records_without_native_configurations_have_nothing_to_compare(records: Any) -> None:
     records.replay("daqp", steps=100)
     records.replay("daqp", steps=100, policy="warm")
-    assert route_gains(records.view(), "paper") == []
+    assert compare_routes(records.view(), "paper") == []

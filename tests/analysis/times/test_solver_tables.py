@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
-from dpbench.analysis.times.solver_tables import level_points, tile_table, time_table
+from dpbench.analysis.times.solver_tables import experiment_table, level_points, time_table
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.calibration import COPY_ONLY
@@ -19,7 +19,7 @@ from dpbench.solvers.table import find_record
 
 def _matrix(records: Any) -> RunMatrix:
     view = records.view()
-    return RunMatrix.from_records(view, verdicts_of(view, Requirements()), [], 0)
+    return RunMatrix.from_records(view, judge_solvers(view, Requirements()), [], 0)
 
 
 def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
@@ -42,7 +42,7 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = tile_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
+    tiles = experiment_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
     assert tiles.to_dict() == {
         ("default", "paper"): "fail",
         ("default", "calm"): "fail",
@@ -57,7 +57,7 @@ EXACT = {"spread": 0.0, "rounds": 1}
 
 def _compared(records: Any) -> PairedComparison:
     view = records.view()
-    first, second = verdicts_of(view, Requirements()).references
+    first, second = judge_solvers(view, Requirements()).references
     return paired_comparison(view, first, second)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.analysis.verdict.fastest import rank_configurations, rank_solvers
 from dpbench.analysis.verdict.requirements import Requirements, is_right
-from dpbench.analysis.verdict.verdict import Verdicts, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdicts, judge_solvers
 from dpbench.report.report import Report
 from dpbench.report.verdict_text import judged_runs_text
 
@@ -15,7 +15,7 @@ REQUIREMENTS = Requirements()
 
 
 def _found(records: Any) -> Verdicts:
-    return verdicts_of(records.view(), REQUIREMENTS)
+    return judge_solvers(records.view(), REQUIREMENTS)
 
 
 def _labels(records: Any) -> list[str]:

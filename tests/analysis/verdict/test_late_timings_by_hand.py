@@ -9,9 +9,9 @@ import pytest
 
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
-    Machine,
+    StallModel,
     choose_trusted_runs,
-    estimate_machine,
+    estimate_stalls,
     find_late_timings,
 )
 from dpbench.analysis.verdict.requirements import Requirements
@@ -75,8 +75,8 @@ def test_the_tail_of_the_stalls(count: int, allowed: int, below: float) -> None:
 
     The allowed timings are late with 1 %: of two, 0, 1 and 2 with 0.9801, 0.0198 and 0.0001.
     """
-    machine = Machine(rate=1e-3, shape=2.0)
-    assert machine.tail(count, 2000.0, allowed) == pytest.approx(1.0 - below, rel=1e-9)
+    machine = StallModel(rate=1e-3, shape=2.0)
+    assert machine.tail_probability(count, 2000.0, allowed) == pytest.approx(1.0 - below, rel=1e-9)
 
 
 def test_a_machine_of_two_rounds() -> None:
@@ -84,14 +84,14 @@ def test_a_machine_of_two_rounds() -> None:
 
     The moments give (361/9 + 361/36) / (64/9 - 9 + 361/36) = 1805/293.
     """
-    machine = estimate_machine(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
+    machine = estimate_stalls(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
     assert machine.rate == pytest.approx(19 / 12)
     assert machine.shape == pytest.approx(1805 / 293)
 
 
 def test_a_machine_more_even_than_chance() -> None:
     """One stall in two equal rounds has a rate of 0.75 and moments of -15/16 + 9/16 < 0."""
-    machine = estimate_machine(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
+    machine = estimate_stalls(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
     assert (machine.rate, machine.shape) == (0.75, 50.0)
 
 

@@ -12,12 +12,12 @@ from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,
     LateTimings,
-    Machine,
+    StallModel,
     adjust_p_values,
-    estimate_machine,
+    estimate_stalls,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 
 REQUIREMENTS = Requirements()
 HONEST = ("quadprog", "piqp", "clarabel", "highs", "ecos")
@@ -36,7 +36,7 @@ def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
 
 
 def _verdict(records: Any, solver: str = "daqp") -> Any:
-    return verdicts_of(records.view(), REQUIREMENTS).of[solver][0]
+    return judge_solvers(records.view(), REQUIREMENTS).of[solver][0]
 
 
 def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int, int], float]:
@@ -77,7 +77,9 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
     }
     _campaign(records, **shifted)
     found = {
-        finding.kind for v in verdicts_of(records.view(), REQUIREMENTS).all for finding in v.doubts
+        finding.kind
+        for v in judge_solvers(records.view(), REQUIREMENTS).all
+        for finding in v.doubts
     }
     assert "late at random" not in found
 
@@ -253,22 +255,24 @@ def test_a_hard_step_is_late_by_itself() -> None:
 
 def test_an_even_machine_is_a_poisson_process() -> None:
     """With a large shape the tail is that of a Poisson count."""
-    machine = Machine(rate=2e-6, shape=1e7)
-    assert machine.tail(5, 1e6) == pytest.approx(poisson.sf(4, 2.0), rel=1e-5)
+    machine = StallModel(rate=2e-6, shape=1e7)
+    assert machine.tail_probability(5, 1e6) == pytest.approx(poisson.sf(4, 2.0), rel=1e-5)
 
 
 def test_the_share_that_is_allowed_is_binomial() -> None:
     """On a machine without stalls only the one late timing in a hundred is left."""
-    machine = Machine(rate=1e-30, shape=1.0)
-    assert machine.tail(17, 1.0, 1000) == pytest.approx(binom.sf(16, 1000, 0.01), rel=1e-6)
-    assert machine.tail(0, 1.0, 1000) == 1.0
+    machine = StallModel(rate=1e-30, shape=1.0)
+    assert machine.tail_probability(17, 1.0, 1000) == pytest.approx(
+        binom.sf(16, 1000, 0.01), rel=1e-6
+    )
+    assert machine.tail_probability(0, 1.0, 1000) == 1.0
 
 
 def test_uneven_rounds_make_a_small_shape() -> None:
     """Ten rounds of equal exposure: one stall in each, or all ten in one of them."""
     exposed = np.full(10, 1e9)
     even, uneven = np.ones(10), np.array([10.0, *np.zeros(9)])
-    machines = estimate_machine(even, exposed), estimate_machine(uneven, exposed)
+    machines = estimate_stalls(even, exposed), estimate_stalls(uneven, exposed)
     assert machines[0].rate == machines[1].rate == pytest.approx(1.05e-9)
     assert machines[0].shape == 50.0 and machines[1].shape == 0.5
 

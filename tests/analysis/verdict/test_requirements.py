@@ -14,7 +14,7 @@ from dpbench.analysis.verdict.findings import (
     NEAR,
     OWN_DOING,
     STATES,
-    worst_first,
+    finding_on_worst,
 )
 from dpbench.analysis.verdict.requirements import (
     Requirements,
@@ -23,7 +23,7 @@ from dpbench.analysis.verdict.requirements import (
     is_right,
     is_right_to_the_end,
 )
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 
 LIMIT = 0.0078125
 """Limit of `error_move`: 2⁻⁷, which every table stores exactly."""
@@ -78,7 +78,7 @@ def test_the_verdict_of_figures_at_the_requirements(
 ) -> None:
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
-    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
+    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
     assert verdict.state == state
     assert bool(verdict.causes) is (state == "fail")
 
@@ -109,11 +109,11 @@ def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
     runs: list[Any] = [
         SimpleNamespace(name=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
     ]
-    (found,) = worst_first("failed", runs, lambda run: float(run.x))
+    (found,) = finding_on_worst("failed", runs, lambda run: float(run.x))
     assert [run.name for run in found.runs] == ["b", "a", "c", "d"]
     assert (found.kind, found.value, found.steps) == ("failed", 5.0, 0)
     assert math.isnan(found.machine)
-    assert worst_first("failed", [], lambda run: 0.0) == []
+    assert finding_on_worst("failed", [], lambda run: 0.0) == []
 
 
 def test_verdicts_are_ordered_from_best_to_worst() -> None:

@@ -8,14 +8,14 @@ import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 
 REQUIREMENTS = Requirements()
 
 
 def _matrix(records: Any, kept: int = 0) -> RunMatrix:
     view = records.view()
-    return RunMatrix.from_records(view, verdicts_of(view, REQUIREMENTS), view.study, kept)
+    return RunMatrix.from_records(view, judge_solvers(view, REQUIREMENTS), view.study, kept)
 
 
 def _labels(matrix: RunMatrix) -> list[str]:
@@ -264,13 +264,13 @@ def test_steps_without_a_solution_are_counted_once(
     records.sea("daqp", 0, 1, {"hs_m": 1.0}, infeasible_steps=7, true_share=0.5)
     records.loop("scs", infeasible_steps=7, true_share=0.5)
     matrix = _matrix(records, kept=1)
-    assert matrix.without_solution(matrix.configurations[0]) == (10, all_reported)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (10, all_reported)
 
 
 def test_one_step_without_a_solution_counts(records: Any) -> None:
     records.loop("daqp", infeasible_steps=1, rounds=0, true_share=0.5)
     matrix = _matrix(records)
-    assert matrix.without_solution(matrix.configurations[0]) == (1, False)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (1, False)
 
 
 def test_the_index_of_a_configuration(records: Any) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, largest_stall_ns, speed_margins
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.solvers.calibration import COPY_ONLY
 
 REQUIREMENTS = Requirements()
@@ -83,7 +83,7 @@ def test_more_late_steps_in_a_window_than_one_in_a_hundred_of_its_stretch(
     records.loop("daqp", "turn")
     records.replay("daqp", median_us=20.0, spread=0.0)
     _window(records, 450, dict.fromkeys(range(late), 500.0))
-    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
+    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
     assert verdict.state == state
     assert (verdict.replays, verdict.windows) == (1, 1)
 

@@ -10,7 +10,7 @@ import pytest
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
-    compare_commanded,
+    compare_thrusters_with_forces,
     is_about_thrusters,
     largest_ratio,
     late_losses,
@@ -54,9 +54,9 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
         },
         {},
     )
-    assert verdicts.fine == ["a", "c"]
+    assert verdicts.passing == ["a", "c"]
     assert verdicts.undecided == ["d", "e"]
-    assert verdicts.missing == ["b", "f"]
+    assert verdicts.failing == ["b", "f"]
     assert verdicts.passing_with_forces == ["a", "b", "d"]
     assert verdicts.passing_with_forces_only == ["b"]
 
@@ -90,7 +90,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     _with_thrusters(records, "piqp", outcome="hung", done=0)
     _with_thrusters(records, "scs", error=0.5)
     records.refused("ecos", "it takes no start", cell=THRUSTERS)
-    found = compare_commanded(records.view(), REQUIREMENTS)
+    found = compare_thrusters_with_forces(records.view(), REQUIREMENTS)
     assert found.forces == ("paper",)
     assert found.with_forces == {
         "daqp": "pass",
@@ -100,7 +100,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     }
     assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
-    assert (found.fine, found.passing_with_forces_only) == (["daqp"], ["piqp"])
+    assert (found.passing, found.passing_with_forces_only) == (["daqp"], ["piqp"])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_the_fault_of_a_solver_is_that_of_all_its_configurations(
     """A configuration with both faults agrees with either; one that was refused has none."""
     records.loop("daqp", cell=THRUSTERS, **default)
     records.loop("daqp", cell=THRUSTERS, settings="high", **high)
-    assert compare_commanded(records.view(), REQUIREMENTS).faults == {"daqp": fault}
+    assert compare_thrusters_with_forces(records.view(), REQUIREMENTS).faults == {"daqp": fault}
 
 
 def _powered(records: Any, solver: str, scenario: str = "turn", **columns: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty, usual_factor
+from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty, factor_quantile
 
 
 def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: Any) -> None:
@@ -94,4 +94,4 @@ def test_the_factor_of_a_run(records: Any) -> None:
 
 def test_the_usual_factor_is_a_quantile_of_95_percent() -> None:
     """Of 1.00, 1.01, ..., 2.00 it is 1.95."""
-    assert usual_factor(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)
+    assert factor_quantile(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)

@@ -11,23 +11,28 @@ from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import choose_solver, fastest_first
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import clauses, count_solvers, paired_text, requirements_text
+from dpbench.report.verdict_text import (
+    count_solvers,
+    describe_findings,
+    paired_text,
+    requirements_text,
+)
 
 REQUIREMENTS = Requirements()
 
 
 def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
-    own = verdicts_of(records.view(), REQUIREMENTS).of[solver]
+    own = judge_solvers(records.view(), REQUIREMENTS).of[solver]
     wanted = replace(own[0].configuration, settings=settings)
     return next(verdict for verdict in own if verdict.configuration == wanted)
 
 
 def _why(verdict: Any) -> str:
     """What is said against a verdict, or left open, in the words of terminal and tables."""
-    return verdict.refusal or clauses(verdict.causes or verdict.missing)
+    return verdict.refusal or describe_findings(verdict.causes or verdict.missing)
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
@@ -131,7 +136,7 @@ def test_crashes_in_several_experiments_are_one_clause(records: Any) -> None:
     for scenario in ("paper", "calm", "rough"):
         records.loop("daqp", scenario, outcome="crashed", outcome_detail="exit code 3", done=0)
     records.replay("daqp")
-    assert clauses(_verdict(records, "daqp").causes) == (
+    assert describe_findings(_verdict(records, "daqp").causes) == (
         "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)"
     )
 
@@ -157,7 +162,7 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     records.loop("osqp", error=0.05)
     records.replay("osqp")
     looser = Requirements.of({"requirements": {"error_move": 0.1, "unknown": 1}})
-    assert verdicts_of(records.view(), looser).references[0].state == "pass"
+    assert judge_solvers(records.view(), looser).references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
     assert "within 0.1 of a rate-limit step" in requirements_text(looser)
 
@@ -217,7 +222,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
     for solver, median_us in (("daqp", 20.0), ("osqp", 2900.0)):
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
-    verdicts = verdicts_of(records.view(), REQUIREMENTS)
+    verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert count_solvers(verdicts) == "1 of 2 pass; borderline: osqp"
 
 
@@ -227,7 +232,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.loop("osqp", settings="high")
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
-    verdicts = verdicts_of(records.view(), REQUIREMENTS)
+    verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all] == ["fail", "pass"]
     assert count_solvers(verdicts) == "0 of 1 pass; only otherwise: osqp (qpsolvers fresh, high)"
 
@@ -264,7 +269,7 @@ def test_a_level_meets_only_where_it_was_run(
     assert verdict.state == ("inconclusive" if clause else "pass")
     assert clause in _why(verdict)
     if clause:
-        assert count_solvers(verdicts_of(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
+        assert count_solvers(judge_solvers(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
 
 
 @pytest.mark.parametrize(
@@ -278,7 +283,7 @@ def test_loops_under_any_policy_and_route_count_as_run(
     records.replay("daqp", route=route, policy=policy)
     records.loop("osqp", route=route, policy=policy, error=0.5)
     records.replay("osqp", route=route, policy=policy)
-    said = count_solvers(verdicts_of(records.view(), REQUIREMENTS))
+    said = count_solvers(judge_solvers(records.view(), REQUIREMENTS))
     assert said == "1 of 2 pass; fail: osqp"
 
 
@@ -286,7 +291,7 @@ def test_the_largest_timing_is_no_algorithmic_time(records: Any) -> None:
     """Round 1 is the minimum of every step, 20 µs; the largest timing is a slower round's."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0, spread=0.0)
-    (verdict,) = verdicts_of(records.view(), REQUIREMENTS).references
+    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
     samples = records.results().steps.query("not warmup")["total_ns"]
     samples = samples[records.results().steps["run_id"] == "run0001"]
     assert verdict.raw_max_ns == samples.max() > verdict.algo_max_ns
@@ -298,7 +303,7 @@ def test_the_recommendation_can_go_aboard(records: Any) -> None:
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median)
     view = records.view()
-    found = choose_solver(verdicts_of(view, REQUIREMENTS))
+    found = choose_solver(judge_solvers(view, REQUIREMENTS))
     assert found.chosen is not None and found.runner_up is not None and found.faster is not None
     names = (
         found.chosen.configuration.solver,
@@ -331,7 +336,7 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.replay("osqp")
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
-    said = count_solvers(verdicts_of(records.view(), REQUIREMENTS))
+    said = count_solvers(judge_solvers(records.view(), REQUIREMENTS))
     assert said == "1 of 3 pass; fail: osqp; inconclusive: scs; not run: qpax"
 
 
@@ -340,7 +345,7 @@ def _duel(records: Any, median_us: float) -> Any:
         records.loop(solver)
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
-    ranked = fastest_first(verdicts_of(view, REQUIREMENTS).references)
+    ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
     return paired_comparison(view, ranked[0], ranked[1])
 
 
@@ -369,7 +374,7 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
         records.loop(solver, steps=40)
         records.replay(solver, steps=40, median_us=median, spread=0.0)
     view = records.view()
-    found = paired_comparison(view, *fastest_first(verdicts_of(view, REQUIREMENTS).references))
+    found = paired_comparison(view, *fastest_first(judge_solvers(view, REQUIREMENTS).references))
     said = paired_text(found)
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
@@ -382,7 +387,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.loop("nervous")
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
-    ranked = fastest_first(verdicts_of(view, REQUIREMENTS).references)
+    ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
     text = paired_text(paired_comparison(view, *ranked))
     assert "depends on the yardstick" in text

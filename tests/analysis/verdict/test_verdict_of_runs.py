@@ -7,13 +7,13 @@ import pytest
 
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 
 REQUIREMENTS = Requirements()
 
 
 def _all(records: Any, solver: str = "daqp") -> list[Verdict]:
-    return list(verdicts_of(records.view(), REQUIREMENTS).of[solver])
+    return list(judge_solvers(records.view(), REQUIREMENTS).of[solver])
 
 
 def _only(records: Any) -> Verdict:
@@ -88,9 +88,9 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
     records.loop("unconstrained_clipped", formulation="none")
     records.loop("scs")
     view = records.view()
-    assert list(verdicts_of(view, REQUIREMENTS).of) == ["daqp", "scs"]
+    assert list(judge_solvers(view, REQUIREMENTS).of) == ["daqp", "scs"]
     assert not _only(records).causes
-    assert list(verdicts_of(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
+    assert list(judge_solvers(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
 
 
 @pytest.mark.parametrize(("first", "second", "error"), [(60, 120, 2), (120, 60, 1), (60, 60, 1)])
@@ -162,7 +162,7 @@ def test_gaps_of_a_configuration(records: Any) -> None:
         ("refused", ["calm"], -1.0, 0),
         ("short", ["rough"], -1.0, 120),
     ]
-    assert high.state == "inconclusive" and not high.ranks
+    assert high.state == "inconclusive" and not high.is_rankable
 
 
 def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
@@ -210,5 +210,5 @@ def test_kinds_of_runs_that_are_missing(records: Any) -> None:
     (timed,), (steered,) = _all(records), _all(records, "scs")
     assert [finding.kind for finding in timed.missing] == ["no closed loop"]
     assert [finding.kind for finding in steered.missing] == ["no replay"]
-    assert (timed.state, timed.ranks) == ("inconclusive", True)
-    assert (steered.state, steered.ranks) == ("inconclusive", False)
+    assert (timed.state, timed.is_rankable) == ("inconclusive", True)
+    assert (steered.state, steered.is_rankable) == ("inconclusive", False)

@@ -163,7 +163,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     assert table_of_run is not None
     (plot,) = capability_plots(Records(load_results(out)), table_of_run)
     (answers,) = plot.answers
-    assert answers.all_right
+    assert answers.is_all_right
     held = int(table_of_run["held"].sum())
     assert (answers.balanced, answers.refused) == (held, len(table_of_run) - held)
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()

@@ -11,7 +11,7 @@ import pytest
 from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.bench.record.configuration import Configuration
 from dpbench.report.formats import rounded_down
-from dpbench.report.page.recommendation import call_text
+from dpbench.report.page.recommendation import python_call_text
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
@@ -198,7 +198,7 @@ def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
     assert not opened().locator("#one-call").is_visible(), "it would stand there twice"
     page = opened("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
     first = page.text_content("#paste-1")
-    assert page.text_content("#one-call") == call_text(
+    assert page.text_content("#one-call") == python_call_text(
         Configuration("osqp", "qpsolvers", "fresh", "high")
     )
     assert "eps_abs=" in page.text_content("#one-call")

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.records.run_record import records_of
+from dpbench.analysis.records.run_record import build_records
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
@@ -480,7 +480,7 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 def test_another_build_of_the_same_version_is_said() -> None:
     builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
     rows = [identity("replay", "hpipm", {"build": build}) for build in builds]
-    generic, fast = records_of(as_runs(pd.DataFrame(rows)))
+    generic, fast = build_records(as_runs(pd.DataFrame(rows)))
     assert Pair(generic, generic).label.startswith("hpipm (")
     output = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
     assert Pair(generic, fast).label.startswith(output)

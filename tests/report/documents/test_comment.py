@@ -21,7 +21,7 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
     assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
     assert all(f"| {name} |" in text for name in [solver, *others])
     assert text.count("against") == len(others)
-    assert all(step.export in text for step in worst)
+    assert all(step.export_command in text for step in worst)
 
 
 def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:

@@ -17,7 +17,7 @@ from dpbench.bench.capability.table import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
-from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_passive, check_sent
+from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_passive, check_sent_folder
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
 SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'
@@ -69,25 +69,25 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
     (folder / SENDER).write_text(SIGNED, encoding="utf-8")
     assert (folder / CAPABILITY_FILE).read_bytes() == (out / CAPABILITY_FILE).read_bytes()
     assert 'id="capability"' in (folder / "report.html").read_text("utf-8")
-    check_sent(folder)
+    check_sent_folder(folder)
     load_capability(folder).assign(wind_mps=30.0).to_parquet(folder / CAPABILITY_FILE)
     with pytest.raises(ResultsError, match=r"a page of another capability\.parquet"):
-        check_sent(folder)
+        check_sent_folder(folder)
     (out / CAPABILITY_FILE).unlink()
     assert main(["report", str(out), "--send", str(folder), "--quiet"]) == 0
     assert not (folder / CAPABILITY_FILE).exists()
 
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
-    from dpbench.report.documents.sent import prepare_folder
+    from dpbench.report.documents.sent import prepare_sent_folder
 
-    prepare_folder(written.folder, copy)
+    prepare_sent_folder(written.folder, copy)
     assert (copy / SENDER).read_text("utf-8") == SIGNED
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("", encoding="utf-8")
     for place in (tmp_path / "other", written.folder):
         with pytest.raises(ValueError, match=r"--send: found .*a folder of its own"):
-            prepare_folder(written.folder, place)
+            prepare_sent_folder(written.folder, place)
 
 
 def _edit(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
@@ -178,7 +178,7 @@ def test_a_page_that_runs_or_loads_something_is_refused(
 
 @pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)
 def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
-    assert check_sent(folder).startswith(str(folder))
+    assert check_sent_folder(folder).startswith(str(folder))
 
 
 UTF_8 = '<meta charset="utf-8">'

@@ -12,7 +12,7 @@ import pytest
 from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
-from dpbench.report.page.recommendation import slower_text
+from dpbench.report.page.recommendation import speed_margin_text
 
 
 def _good(records: Any, tmp_path: Path) -> Path:
@@ -82,7 +82,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not_covered(
         error_text(verdict.error_move),
         time_text(verdict.p99_ns),
         time_text(verdict.algo_max_ns),
-        slower_text(facts, verdict).split(":")[0],
+        speed_margin_text(facts, verdict).split(":")[0],
         *("Synthetic CPU", "0123456789ab", "Not covered", "Other vessels"),
     ):
         assert figure in text, figure

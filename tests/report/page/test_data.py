@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.solver_tables import tile_table
+from dpbench.analysis.times.solver_tables import experiment_table
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
-from dpbench.report.page.data import PageData, columns_of, number
+from dpbench.report.page.data import PageData, columns_by_name, json_number
 from dpbench.report.page.live import _matrix_text
-from dpbench.report.page.tables import drawn_tiles
-from dpbench.report.page.terms import experiment_words
+from dpbench.report.page.tables import select_tiles
+from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
@@ -22,7 +22,7 @@ REQUIREMENTS = Requirements()
 
 def _facts(records: Any) -> PageData:
     view = records.view()
-    return PageData.of(view, verdicts_of(view, REQUIREMENTS))
+    return PageData.of(view, judge_solvers(view, REQUIREMENTS))
 
 
 def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
@@ -62,11 +62,11 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
     ("value", "output"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
 def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
-    assert number(value) == output
+    assert json_number(value) == output
 
 
 def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
-    assert columns_of([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
+    assert columns_by_name([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
 def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
@@ -76,7 +76,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     records._scenarios["robot"] = records.scenario("rough")
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
-    output = {word.term: word.meaning for word in experiment_words(facts).values()}
+    output = {word.term: word.meaning for word in describe_experiments(facts).values()}
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
     assert output["rough"] == f"{start} 6-7."
     assert output["rough (in N and N·m)"].startswith(start)
@@ -96,10 +96,10 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
             wrong = solver == "osqp" and i in (1, 3)
             records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
     facts = _facts(records)
-    tiles = tile_table(facts)
-    assert drawn_tiles(tiles).equals(tiles)
+    tiles = experiment_table(facts)
+    assert select_tiles(tiles).equals(tiles)
     monkeypatch.setattr(tables, "MOST_TILES", 5)
-    drawn = drawn_tiles(tiles)
+    drawn = select_tiles(tiles)
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
     output = _matrix_text(facts)
     assert (

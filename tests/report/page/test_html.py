@@ -16,7 +16,7 @@ import pytest
 from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hash_files
-from dpbench.report.page.vendored import Vendored, digest, script, vendored
+from dpbench.report.page.vendored import Vendored, file_digest, read_script, vendored_scripts
 from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
@@ -205,14 +205,14 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
 VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 
-@pytest.mark.parametrize("entry", vendored(), ids=lambda entry: entry.file)
+@pytest.mark.parametrize("entry", vendored_scripts(), ids=lambda entry: entry.file)
 def test_a_script_is_what_the_list_says(entry: Vendored) -> None:
-    assert digest(entry) == entry.sha256
+    assert file_digest(entry) == entry.sha256
     assert "Redistribution" in VENDOR.joinpath(entry.licence_file).read_text()
-    assert entry.version in script(entry)
-    assert "</script" not in script(entry)
+    assert entry.version in read_script(entry)
+    assert "</script" not in read_script(entry)
 
 
 def test_nothing_lies_there_unlisted() -> None:
-    listed = {name for entry in vendored() for name in (entry.file, entry.licence_file)}
+    listed = {name for entry in vendored_scripts() for name in (entry.file, entry.licence_file)}
     assert {item.name for item in VENDOR.iterdir()} == listed | {"vendored.json"}

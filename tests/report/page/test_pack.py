@@ -24,7 +24,7 @@ from dpbench.analysis.records.thinned_runs import (
     thinned_indices,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page import pack as packing
 from dpbench.report.page.data import PageData
@@ -87,7 +87,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
     """Half a code is 10^(1/400), 0.58 %; missing, zero and infinite are themselves. The largest
     code but one is 10^(65532/200 − 16), beyond every number."""
     block = Block()
-    assert block.log(values) == 0
+    assert block.add_log(values) == 0
     for value, found in zip(values, _one(block), strict=True):
         if value == 0.0 or not math.isfinite(value):
             np.testing.assert_equal(found, value)
@@ -98,7 +98,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
 def test_what_is_smaller_than_the_smallest_or_negative_is_said_so() -> None:
     """Below 1e-16 stands 1e-16 and not zero; a negative time or error is none."""
     block = Block()
-    block.log([1e-20, -1.0])
+    block.add_log([1e-20, -1.0])
     smallest, negative = _one(block)
     assert smallest == pytest.approx(1e-16) and math.isnan(negative)
 
@@ -110,7 +110,7 @@ def test_what_is_smaller_than_the_smallest_or_negative_is_said_so() -> None:
 def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale: float) -> None:
     """A value within 32767 units is rounded to the nearest; one beyond stands at the end."""
     block = Block()
-    block.linear(values, scale)
+    block.add_linear(values, scale)
     for value, found in zip(values, _one(block), strict=True):
         if math.isnan(value):
             assert math.isnan(found)
@@ -126,7 +126,7 @@ def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale:
 )
 def test_counts_are_exact(values: list[float]) -> None:
     block = Block()
-    block.count(values)
+    block.add_count(values)
     expected = [math.nan if math.isnan(v) or v < 0 else float(v) for v in values]
     np.testing.assert_equal(_one(block), expected)
 
@@ -134,7 +134,7 @@ def test_counts_are_exact(values: list[float]) -> None:
 def test_a_count_beyond_the_largest_is_the_largest() -> None:
     """70 000 iterations are shown as 65 534, not as missing."""
     block = Block()
-    block.count([70_000.0])
+    block.add_count([70_000.0])
     assert _one(block) == [65534.0]
 
 
@@ -144,10 +144,10 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
     length = rising[-1] + 3
     if max(np.diff(rising, prepend=0)) > 65535:
         with pytest.raises(ValueError, match="apart"):
-            block.place(rising, length)
+            block.add_place(rising, length)
         return
-    at = block.place(rising, length)
-    numbers = block.count(range(len(rising)), at), block.flag([7] * len(rising), at)
+    at = block.add_place(rising, length)
+    numbers = block.add_count(range(len(rising)), at), block.add_flag([7] * len(rising), at)
     counts, flags = (unpacked(block.text({}))[1][number] for number in numbers)
     assert len(counts) == len(flags) == length
     assert [counts[place] for place in rising] == [float(i) for i in range(len(rising))]
@@ -160,7 +160,11 @@ def test_arrays_of_one_block_do_not_touch_each_other(
     arrays: list[list[float]], flags: list[int]
 ) -> None:
     block = Block()
-    numbers = [block.flag(flags), *(block.log(array) for array in arrays), block.count([3, 1])]
+    numbers = [
+        block.add_flag(flags),
+        *(block.add_log(array) for array in arrays),
+        block.add_count([3, 1]),
+    ]
     document, found = unpacked(block.text({"output": "µs ≥ 1"}))
     assert numbers == list(range(len(arrays) + 2))
     assert document["output"] == "µs ≥ 1"
@@ -257,7 +261,7 @@ def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeyp
 
     def size() -> int:
         view, requirements = Records(results), Requirements.of(results.suite)
-        facts = PageData.of(view, verdicts_of(view, requirements))
+        facts = PageData.of(view, judge_solvers(view, requirements))
         cells = list(facts.cells())
         assert len(cells) == 4
         return len(facts.block.text({}))
@@ -274,7 +278,7 @@ def test_of_many_runs_fewer_hard_steps_are_listed(records: Any, monkeypatch: Any
     def listed(most: int) -> set[int]:
         monkeypatch.setattr(page_data, "MOST_HARD", most)
         view, requirements = records.view(), Requirements.of({})
-        facts = PageData.of(view, verdicts_of(view, requirements))
+        facts = PageData.of(view, judge_solvers(view, requirements))
         assert all(
             len(rows) == 5 for run in facts.thinned_runs.values() for rows in run.hard.values()
         )

@@ -8,7 +8,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
 from dpbench.report.formats import error_text, rounded_down, time_text
@@ -19,7 +19,7 @@ from dpbench.report.report import Report
 
 def _facts(records: Any) -> PageData:
     view, requirements = records.view(), Requirements()
-    return PageData.of(view, verdicts_of(view, requirements))
+    return PageData.of(view, judge_solvers(view, requirements))
 
 
 def _answer(records: Any, baseline: str | None = None) -> Recommendation:
@@ -34,7 +34,7 @@ def _plain(html: str) -> str:
 def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     """The recommendation, its p99 and its speed margin are the same everywhere."""
     requirements = Requirements.of(written.results.suite)
-    verdicts = verdicts_of(Records(written.results), requirements)
+    verdicts = judge_solvers(Records(written.results), requirements)
     chosen = choose_solver(verdicts).chosen
     assert chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
@@ -195,7 +195,7 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
     assert "(5 steps had no solution), p99" in _answer(records).sentence
     records.loop("osqp")
-    assert _facts(records).without_solution(_facts(records).configurations[-1]) == (0, True)
+    assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
 
 
 @pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])

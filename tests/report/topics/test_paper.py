@@ -12,14 +12,14 @@ from dpbench.analysis.records.records import Records
 from dpbench.bench.design import Bracket, DesignRecord, Designs, MissingDesign
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.topics.paper import choices, claims, paper_topic
+from dpbench.report.topics.paper import judge_claims, list_choices, paper_topic
 
 WHOLE = 1000
 """Steps of the paper's case: 300 s in samples of 0.3 s."""
 
 
 def _states(records: Any) -> dict[str, str]:
-    return {claim.claim: claim.state for claim in claims(records.view())}
+    return {claim.claim: claim.state for claim in judge_claims(records.view())}
 
 
 def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
@@ -92,13 +92,13 @@ def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> 
     steps[["n_m", "e_m"]] = 0.0
     steps.loc[steps["k"].isin(list(outside)), "n_m"] = 1.5
     view = Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
-    assert claims(view)[0].found.startswith(says)
+    assert judge_claims(view)[0].found.startswith(says)
 
 
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
     records.loop("daqp", "calm")
     assert set(_states(records).values()) == {"not measured"}
-    assert choices(records.view()) == []
+    assert list_choices(records.view()) == []
 
 
 def test_a_run_cut_short_represents_nobody(records: Any) -> None:
@@ -112,7 +112,7 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
 
 def test_choices_are_those_of_the_rows(records: Any) -> None:
     _pair(records)
-    found = dict(choices(records.view()))
+    found = dict(list_choices(records.view()))
     topic = paper_topic(records.view())
     assert topic is not None and dict(topic.tables[1].rows) == found
     assert found["Q"].startswith("diag(1, 1, 100)")
@@ -123,7 +123,7 @@ def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
     """A complete run over the first 60 of 1000 steps measures no claim, and its length is told."""
     records.loop("daqp", steps=60)
     records.loop("unconstrained_clipped", steps=60, formulation="none", error=1.0)
-    found = [claim for claim in claims(records.view()) if "paper_tight" not in claim.claim]
+    found = [claim for claim in judge_claims(records.view()) if "paper_tight" not in claim.claim]
     assert {claim.state for claim in found} == {"not measured"}
     assert {claim.found for claim in found} == {"60 of 1\u202f000 steps"}
 
@@ -149,8 +149,8 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
 
     results = _called_paper(records, change)
     view = Records(results)
-    assert {claim.state for claim in claims(view)} == {"not measured"}
-    assert choices(view) == []
+    assert {claim.state for claim in judge_claims(view)} == {"not measured"}
+    assert list_choices(view) == []
     assert paper_topic(view) is None
 
 

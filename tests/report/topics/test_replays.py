@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from dpbench.analysis.times.contrasts import route_gains
+from dpbench.analysis.times.contrasts import compare_routes
 from dpbench.analysis.times.machine import round_spread
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.report.formats import significant
 from dpbench.report.table import Table
 from dpbench.report.topics.replays import formulations_topic
@@ -74,8 +74,8 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        [_figures(v) for v in verdicts_of(before, REQUIREMENTS).all],
-        route_gains(before, "paper"),
+        [_figures(v) for v in judge_solvers(before, REQUIREMENTS).all],
+        compare_routes(before, "paper"),
         [run.run_id for run in before.replays("paper")],
     )
     configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
@@ -84,8 +84,8 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **configuration)
     after = records.view()
     found = (
-        [_figures(v) for v in verdicts_of(after, REQUIREMENTS).all],
-        route_gains(after, "paper"),
+        [_figures(v) for v in judge_solvers(after, REQUIREMENTS).all],
+        compare_routes(after, "paper"),
         [run.run_id for run in after.replays("paper")],
     )
     assert found == expected

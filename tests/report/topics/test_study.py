@@ -7,7 +7,7 @@ import numpy as np
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
-from dpbench.report.charts.render import vega
+from dpbench.report.charts.render import compile_vega
 from dpbench.report.topics import study as topic
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
@@ -39,7 +39,7 @@ def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None 
 
 def _drawn(figure: Any, column: str) -> list[float]:
     """The values of a column in the data of a figure."""
-    sets = vega(figure.chart)["data"]
+    sets = compile_vega(figure.chart)["data"]
     return [row[column] for data in sets for row in data.get("values", []) if column in row]
 
 
