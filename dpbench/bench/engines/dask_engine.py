@@ -19,6 +19,7 @@ from uuid import uuid4
 
 from distributed import CancelledError, Future, KilledWorker
 
+from dpbench.bench.engines import on_worker
 from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connect_client, start_own_cluster
 from dpbench.bench.engines.engine import (
     BATCHES_AHEAD,
@@ -27,21 +28,12 @@ from dpbench.bench.engines.engine import (
     HandOverError,
     TlsFiles,
 )
-from dpbench.bench.engines.on_worker import (
-    CampaignContext,
-    MadeFile,
-    list_outcomes,
-    make_files,
-    return_file,
-    run_cells,
-)
-from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.engines.sources import SourceFiles, read_source
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_readable, source_file
+from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, list_solvers
-from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
 
 RETRIES = 2
@@ -100,7 +92,7 @@ class DaskEngine(ExitStack):
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
-        self._context = CampaignContext(solvers=tuple(list_solvers(jobs)), modules=texts)
+        self._context = on_worker.CampaignContext(solvers=tuple(list_solvers(jobs)), modules=texts)
         if self._cluster is None:
             client = self.enter_context(start_own_cluster(self._workers))
             self._cluster = Cluster(client, is_own=True)
@@ -189,7 +181,7 @@ class DaskEngine(ExitStack):
         for name, made in returned.items():
             if made.data:
                 write_bytes(Path(name), made.data)
-        return list_outcomes(returned)
+        return on_worker.list_outcomes(returned)
 
     def _require_connection(self) -> None:
         """Raise HandOverError or EngineGoneError where the scheduler is not connected."""
@@ -208,7 +200,7 @@ class DaskEngine(ExitStack):
         """Submit a batch of cells as a task, with the sources of their QPs."""
         alone = batch.is_timed and self.cluster.exclusive
         return self._submit(
-            run_cells,
+            on_worker.run_cells,
             self._context,
             batch,
             {key: self._sources[str(self._files.path(key))] for key in batch.source_keys},
@@ -227,7 +219,8 @@ class DaskEngine(ExitStack):
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                made[str(path)] = self._submit(return_file, _read_source(cell, path), name="source")
+                found = read_source(cell, path)
+                made[str(path)] = self._submit(on_worker.return_file, found, name="source")
                 del texts[path]
         if texts:
             together = self._submit_files(batch, texts)
@@ -235,14 +228,14 @@ class DaskEngine(ExitStack):
                 made[name] = self._submit(dict.get, together, name, name="source")
         self._sources |= made
         self._given_to |= {future.key: self.cluster.addresses for future in made.values()}
-        return self._submit(list_outcomes, made, name="made")
+        return self._submit(on_worker.list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
         """Submit one task that makes files from the descriptions `texts`."""
         named = {str(path): text for path, text in texts.items()}
-        args = self._context, batch.target, named, batch.limit_s
+        args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
-        return self._submit(make_files, *args, isolated=batch.isolated, name=name, retries=RETRIES)
+        return self._submit(*args, isolated=batch.isolated, name=name, retries=RETRIES)
 
     def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
         """Submit a function call under a unique name to the workers that can run cells."""
@@ -251,13 +244,3 @@ class DaskEngine(ExitStack):
         if not self.cluster.is_own:
             how["workers"] = [*self.cluster.addresses]
         return self.cluster.client.submit(function, *args, key=key, pure=False, **how)
-
-
-def _read_source(cell: Cell, path: Path) -> MadeFile:
-    """Return the source file behind a cell's QPs as bytes, made here where it is missing."""
-    if not is_readable(cell, path):
-        try:
-            source_file(cell).make(path)
-        except (CertificateError, InputError) as error:
-            return MadeFile(Outcome("invalid", str(error)))
-    return MadeFile(Outcome("finished", ""), path.read_bytes())
