@@ -21,7 +21,7 @@ Box = Literal["native", "rows"]
 
 
 class Sides:
-    """Indices of the equalities, upper and lower sides among the limits of a block of rows."""
+    """Indices of equalities, finite upper limits and finite lower limits of a block of rows."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -34,16 +34,16 @@ class Sides:
 
     @staticmethod
     def pattern(low: Vector, high: Vector) -> bytes:
-        """Return bytes that are equal for limits with the same equal and infinite entries."""
+        """Return bytes that encode which limits are equal and which are infinite."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
     def same(self, low: Vector, high: Vector) -> bool:
-        """Return whether these limits have the same equal and infinite entries."""
+        """Return whether the same limits are equal or infinite as at construction."""
         return self.pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
-        """Write the limits into `h` (upper, then lower sides) and `b`."""
+        """Write upper and negated lower limits into `h`, and limits of equalities into `b`."""
         if self.full:
             h[: self.size] = high
             np.negative(low, out=h[self.size :])
@@ -54,18 +54,18 @@ class Sides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the inequality and the equality rows of this block of rows M."""
+        """Return the one-sided inequality rows and the equality rows of the row block M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
     def split(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """Split two-sided multipliers y into those of inequality and of equality rows."""
+        """Split two-sided multipliers y into z ≥ 0 of inequality rows and y of equality rows."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
     def multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Return two-sided multipliers from z of the inequality and y of the equality rows."""
+        """Merge multipliers z of inequality and y of equality rows into two-sided ones."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -77,7 +77,7 @@ class Sides:
 
 
 class OneSidedForm:
-    """Constant matrices in a library's form, and buffers for its vectors.
+    """A two-sided QP as G z ≤ h, A z = b, with constant matrices and buffers for q, h, b.
 
     Parameters
     ----------
@@ -113,22 +113,22 @@ class OneSidedForm:
         self.h, self.b = h if h.size else None, b if b.size else None
 
     def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Return whether limits of the rows have the pattern this form was built for."""
+        """Return whether the same row limits are equal or infinite as in the original problem."""
         return self._sides.same(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
-        """Take over the vectors of a step."""
+        """Write q and the row limits l, u of a step into the buffers q, h and b."""
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """Return y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
+        """Convert multipliers of G and A into two-sided y (m,) and y_box (n,); box "rows" only."""
         assert self._box is not None, "bounds have to be rows"
         rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
         return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
 
     def split(self, y: Vector, y_box: Vector, dual: Vector) -> None:
-        """Write two-sided multipliers into `dual`, ordered as `bh`; for box "rows"."""
+        """Write two-sided multipliers into `dual`, equalities first; box "rows" only."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
         self._sides.split(y, z[: self._rows], equal[: self._equalities])
@@ -136,22 +136,22 @@ class OneSidedForm:
             self._box.split(y_box, z[self._rows :], equal[self._equalities :])
 
     def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
-        """Return y (m,) and y_box (n,) of a `qpsolvers.Solution`; None if they are absent."""
-        z = _vector(z, 0 if self.h is None else self.h.size)
-        y = _vector(y, 0 if self.b is None else self.b.size)
+        """Convert multipliers of qpsolvers into y (m,) and y_box (n,); None if absent."""
+        z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
+        y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
             return None
         if self._box is not None:
             return self.two_sided(z, y)
         rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
-        bounds = _vector(z_box, 0 if self.lb is None else self._n)
+        bounds = _as_vector_of_size(z_box, 0 if self.lb is None else self._n)
         if bounds is None:
             return None
         return rows, bounds.copy() if bounds.size else np.zeros(self._n)
 
 
-def _vector(value: Any, size: int) -> Vector | None:
-    """Return `value` as a float64 vector of a size; None if it is not one."""
+def _as_vector_of_size(value: Any, size: int) -> Vector | None:
+    """Return `value` as a float64 vector of this size; None if it has another size."""
     if size == 0:
         return np.empty(0)
     if value is None:

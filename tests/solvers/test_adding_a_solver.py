@@ -13,7 +13,7 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError
-from dpbench.solvers.adapter import adapters_in
+from dpbench.solvers.adapter import find_adapters
 
 HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
@@ -111,10 +111,10 @@ def test_a_file_without_an_adapter_is_an_error(
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
-        adapters_in("two_solvers", besides=())
+        find_adapters("two_solvers", besides=())
     with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
-        adapters_in("two_solvers", besides=("helper",))
-    native, wrapped = adapters_in("two_solvers", besides=("helper", "two"))
+        find_adapters("two_solvers", besides=("helper",))
+    native, wrapped = find_adapters("two_solvers", besides=("helper", "two"))
     assert list(native) == ["newcomer"] and not wrapped
 
 
