@@ -23,7 +23,7 @@ from dpbench.bench.capability.study import (
 )
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_batch
-from dpbench.cli.terminal import WIDTH, Bar
+from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
@@ -40,17 +40,17 @@ _CELL = 15
 
 def capability_text(arguments: argparse.Namespace) -> str:
     """Return the output of `dpbench capability`; InputError for a bad vessel or option."""
-    figure = _figure_file(arguments.figure)
+    figure = _parse_figure_path(arguments.figure)
     for name in arguments.solver or ():
         if name != "all":
             check_available(name)
     vessel = load_vessel(arguments.vessel)
     frontier = CapabilityPlot(vessel, arguments.sides)
     quiet = arguments.json
-    with Bar(transient=True, quiet=quiet) as bar:
+    with ProgressBar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
     if figure is not None:
-        _draw(capability, vessel, figure)
+        _save_rose_figure(capability, vessel, figure)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
@@ -67,21 +67,22 @@ def capability_text(arguments: argparse.Namespace) -> str:
 def _judge_solvers(
     frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
+    """Run solvers on the QPs at the capability limit and count right and wrong answers."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
         frontier = CapabilityPlot(frontier.vessel, SIDES)
-        with Bar(transient=True, quiet=quiet) as bar:
+        with ProgressBar(transient=True, quiet=quiet) as bar:
             capability = compute_capability(frontier, bar)
     suite = write_batch(frontier, capability, out)
-    with Bar(transient=True, quiet=quiet) as bar:
+    with ProgressBar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
     return answers_of(records, [run for run in records.runs if run.default_route])
 
 
-def _figure_file(name: str | None) -> Path | None:
+def _parse_figure_path(name: str | None) -> Path | None:
+    """Return the path of the figure to write; InputError for an unknown file type."""
     if name is None:
         return None
     path = Path(name)
@@ -90,7 +91,8 @@ def _figure_file(name: str | None) -> Path | None:
     return path
 
 
-def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
+def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+    """Draw the largest wind by direction as a polar plot and save it."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN
     from dpbench.report.charts.capability import draw_rose
     from dpbench.report.charts.render import save
@@ -105,7 +107,7 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """Make the table for a terminal: a row for each direction, at most 80 columns."""
+    """Format the largest wind by direction and loss case as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
@@ -113,7 +115,9 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
     rows = [
-        (f"{from_deg:4.0f}° " + "".join(_cell(held[k]) for held in columns.values())).rstrip()
+        (
+            f"{from_deg:4.0f}° " + "".join(_format_wind_limit(held[k]) for held in columns.values())
+        ).rstrip()
         for k, from_deg in enumerate(FROM_DEG)
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
@@ -123,15 +127,17 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + where the standard knows no more weather."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_verdict(capability)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_notation_lines(capability)]
 
 
-def _cell(held: WindLimit) -> str:
+def _format_wind_limit(held: WindLimit) -> str:
+    """Format a wind limit [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard(held) else " "
     return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
-def _verdict(capability: Capability) -> list[str]:
+def _notation_lines(capability: Capability) -> list[str]:
+    """Explain the capability notation, the thrusters lost in each case and assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -147,7 +153,7 @@ def _verdict(capability: Capability) -> list[str]:
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
-    """Make the table of solvers: how many answers to static allocations are right and wrong."""
+    """Format a table of solvers with counts of right and wrong answers and solve times."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
@@ -169,7 +175,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
 def as_document(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
-    """Return all of it, for JSON."""
+    """Return capability and solver results as a dictionary for JSON."""
     return {
         "vessel": capability.vessel,
         "title": vessel.title,

@@ -12,7 +12,7 @@ from dpbench.solvers.open import open_workspace
 
 
 def compile_all() -> None:
-    """Fill Numba's cache, and print how long it took; nothing where it is filled."""
+    """Compile all Numba kernels that are not cached, and print the time taken."""
     absent = uncompiled_modules((OWN, LOOP))
     if not absent:
         return
