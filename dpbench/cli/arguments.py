@@ -55,7 +55,7 @@ def parser(calls: Mapping[str, Callable[[argparse.Namespace], int]]) -> argparse
     return whole
 
 
-def complete(whole: argparse.ArgumentParser) -> None:
+def offer_completions(whole: argparse.ArgumentParser) -> None:
     """Print shell completions of solver and file names and exit, when a shell requests them."""
     import argcomplete
 

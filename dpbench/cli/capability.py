@@ -56,7 +56,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
     if arguments.solver:
         answers = _judge_solvers(frontier, capability, out, arguments)
     if arguments.json:
-        report = as_document(capability, vessel, answers)
+        report = make_json_report(capability, vessel, answers)
         return json.dumps(report, ensure_ascii=False, indent=2)
     lines = table_lines(capability, vessel)
     if answers:
@@ -172,7 +172,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
     return [*textwrap.wrap(about, WIDTH), "", *table]
 
 
-def as_document(
+def make_json_report(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
     """Return capability and solver results as a dictionary for JSON."""

@@ -11,7 +11,7 @@ from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 
 
-def compile_all() -> None:
+def compile_all_kernels() -> None:
     """Compile all Numba kernels that are not cached, and print the time taken."""
     absent = uncompiled_modules((OWN, LOOP))
     if not absent:
@@ -26,4 +26,4 @@ def compile_all() -> None:
 
 
 if __name__ == "__main__":
-    compile_all()
+    compile_all_kernels()

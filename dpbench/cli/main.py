@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
-from dpbench.cli.arguments import HOW_TO_END, complete, parser
+from dpbench.cli.arguments import HOW_TO_END, offer_completions, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, warn_renamed
 from dpbench.files.writing import write_named_file
@@ -75,7 +75,7 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
             words[0] = OLD_COMMANDS[words[0]]
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
-            complete(whole)
+            offer_completions(whole)
         return _call_and_report_errors(whole.parse_args(words), interruption)
 
 

@@ -54,12 +54,12 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 def replace_durably(part: Path, path: Path) -> None:
     """Rename a written file to its final name, so that it survives a power failure."""
-    sync(part)
+    sync_to_disk(part)
     part.replace(path)
-    sync(path.parent)
+    sync_to_disk(path.parent)
 
 
-def sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
     """Wait until a file or folder is on the disk."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -90,8 +90,8 @@ def write_named_file(path: Path, content: bytes) -> None:
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
     """Write all files of a folder, and remove files that an earlier call wrote.
 
-    `contents` makes the bytes of each file by name; `list_path` records the names, and no other
-    file is removed. InputError: the folder is a link, or a name is none of a file in it.
+    `contents` makes the bytes of each file by name; `file_list_path` records the names;
+    no other file is removed. InputError: the folder is a link, or a name is none of a file in it.
     """
     for name in contents:
         if not is_file_name(name):
@@ -107,14 +107,14 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
     _write_file_list(folder, now)
 
 
-def list_path(folder: Path) -> Path:
+def file_list_path(folder: Path) -> Path:
     """Return the path of the file that lists what `write_together` wrote into a folder."""
     return folder.with_name(f".{folder.name}.json")
 
 
 def _read_file_list(folder: Path) -> set[str]:
     """Return the names of existing files that `write_together` wrote into a folder."""
-    path = list_path(folder)
+    path = file_list_path(folder)
     try:
         state = path.lstat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MOST_LIST_BYTES:
@@ -129,4 +129,4 @@ def _read_file_list(folder: Path) -> set[str]:
 
 def _write_file_list(folder: Path, names: set[str]) -> None:
     """Write the list of files that `write_together` has written into a folder."""
-    write_text(list_path(folder), json.dumps(sorted(names), indent=1) + "\n")
+    write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

@@ -142,7 +142,7 @@ class QpsolversAdapter:
         """Return the adapter of the library's own interface, with its record and options."""
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
-    def claimed_status(self, answer: Any, options: Options) -> Claim:
+    def read_claimed_status(self, answer: Any, options: Options) -> Claim:
         """Read the status, iterations and time that a `qpsolvers.Solution` reports."""
         if answer.extras:
             return self.read_status(answer, options)

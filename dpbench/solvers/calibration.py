@@ -64,7 +64,7 @@ CALIBRATION: dict[str, SolverRecord] = {
 """By name, in the order of display; none is a solver of the table."""
 
 
-class NoOp(Workspace):
+class NoOpWorkspace(Workspace):
     """A workspace that does nothing and returns one stored empty answer, to time the harness."""
 
     def __init__(self, solver: str) -> None:
@@ -88,7 +88,7 @@ class NoOp(Workspace):
         return self._answer
 
 
-class BusyWait(NoOp):
+class BusyWaitWorkspace(NoOpWorkspace):
     """A workspace whose `solve` waits `wait_ns` [ns] on a clock without yielding the core."""
 
     def __init__(self, solver: str, wait_ns: int, clock: Callable[[], int] = _steady_ns) -> None:
@@ -103,7 +103,7 @@ class BusyWait(NoOp):
             pass
 
 
-class CopyOnly(Workspace):
+class CopyOnlyWorkspace(Workspace):
     """A workspace that copies vectors in and an empty answer out, without solving."""
 
     def __init__(self, solver: str) -> None:
@@ -138,5 +138,5 @@ class CopyOnly(Workspace):
 def open_calibration(name: str) -> Workspace:
     """Open a calibration workload by name: no_op, copy_only or busy_wait_<t>us."""
     if name in WAITS_NS:
-        return BusyWait(name, WAITS_NS[name])
-    return NoOp(name) if name == NO_OP else CopyOnly(name)
+        return BusyWaitWorkspace(name, WAITS_NS[name])
+    return NoOpWorkspace(name) if name == NO_OP else CopyOnlyWorkspace(name)

@@ -28,9 +28,9 @@ def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Op
         return dict(level_options(settings, name))
     target = None if adapter.make_settings is None else adapter.make_settings()
     if adapter.list_options is not None:
-        check_names(name, settings, adapter.list_options())
+        check_option_names(name, settings, adapter.list_options())
     elif target is not None:
-        check_names(name, settings, list_attributes(target))
+        check_option_names(name, settings, list_attributes(target))
     if target is not None:
         _check_values(name, settings, target)
     return {**adapter.record.levels.get(DEFAULT, {}), **settings}
@@ -91,7 +91,7 @@ def describe_levels(solver: str) -> str:
     return "\n".join(lines)
 
 
-def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
+def check_option_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
     """Raise SettingsError for the first unknown option key, which some libraries ignore."""
     known = sorted(allowed)
     for name, value in settings.items():

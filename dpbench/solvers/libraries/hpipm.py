@@ -20,7 +20,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
-from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.one_sided import LimitSides
 from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
@@ -139,7 +139,9 @@ class HpipmStructures:
     def list_array_calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
         """Return (C function, address) to set or get each nonempty array."""
         named = [(name, array) for name, array in arrays.items() if array.size]
-        return [(self.look_up_function(f"{verb}_{name}"), pointer(array)) for name, array in named]
+        return [
+            (self.look_up_function(f"{verb}_{name}"), array_pointer(array)) for name, array in named
+        ]
 
     def start_warm(self, given: bool) -> None:
         """Select whether the next solve starts from the values in `sol`."""
@@ -177,7 +179,7 @@ class HpipmStructures:
         return structure
 
 
-def pointer(array: NDArray[Any]) -> Any:
+def array_pointer(array: NDArray[Any]) -> Any:
     """Return the memory address of an array as a C void pointer."""
     return ctypes.c_void_p(array.ctypes.data)
 
@@ -210,7 +212,7 @@ class HpipmWorkspace(NativeWorkspace):
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass q, limits and start on; make new structures if the pattern changed."""
-        if Sides.pattern(low, high) != self._pattern:
+        if LimitSides.encode_pattern(low, high) != self._pattern:
             self._build_solver_for_step(q, low, high)
             return
         m = self._m
@@ -260,7 +262,7 @@ class DenseLimits:
         if self.b.size:
             high.take(self.equal, out=self.b)
 
-    def masks(self) -> list[Vector]:
+    def infinite_side_masks(self) -> list[Vector]:
         """Return two masks of general rows, lower and upper: 1 for finite sides, 0 for infinite."""
         masks = [np.ones(self.sides.size) for _ in range(2)]
         for mask, infinite in zip(masks, self.infinite, strict=True):
@@ -280,11 +282,11 @@ class DenseWorkspace(HpipmWorkspace):
         """Make HPIPM's dense structures and write the constant matrices into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        self._pattern = Sides.pattern(self._l, self._u)
+        self._pattern = LimitSides.encode_pattern(self._l, self._u)
         limits = self._limits = DenseLimits(self._low, self._high, m)
         sizes = (n, limits.equal.size, limits.bounds.size, limits.rows.size, 0)
         self._parts = parts = HpipmStructures(library, "dense_qp", sizes, self._options)
-        lower, upper = limits.masks()
+        lower, upper = limits.infinite_side_masks()
         constants: dict[str, NDArray[Any]] = {
             "H": self._P,
             "A": np.asfortranarray(self._rows[limits.equal]),
@@ -294,7 +296,7 @@ class DenseWorkspace(HpipmWorkspace):
             "ug_mask": upper,
         }
         for name, array in constants.items():
-            parts.look_up_function(f"set_{name}")(pointer(array), parts.qp)
+            parts.look_up_function(f"set_{name}")(array_pointer(array), parts.qp)
         self._allocate_buffers(limits)
         self._send_vectors(self._q)
 
@@ -324,7 +326,7 @@ class DenseWorkspace(HpipmWorkspace):
 
     def _write_start(self) -> None:
         """Write the shifted previous z into HPIPM's solution."""
-        self._library.d_dense_qp_sol_set_v(pointer(self._start.z), self._parts.sol)
+        self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
         """Return z, y and y_box from HPIPM's dense solution."""

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.libraries import hpipm
-from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, pointer
+from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, array_pointer
 from dpbench.solvers.libraries.native_workspace import Point
-from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.one_sided import LimitSides
 from dpbench.solvers.record import by_tolerance
 
 RECORD = replace(
@@ -143,7 +143,7 @@ class StageLimits:
         """Row numbers in [A; I] of the stage's limits: bounds, then general rows."""
         return np.concatenate([self.bounds, self.rows])
 
-    def masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
+    def infinite_side_masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
         """Return HPIPM's masks of infinite sides (0) by name; only masks with a 0."""
         # A NaN is a limit like any other.
         masks = {
@@ -241,7 +241,7 @@ class StagedVector:
             self._calls.append([])
             for name, size in stage:
                 if size:
-                    address = pointer(self.values[at : at + size])
+                    address = array_pointer(self.values[at : at + size])
                     self._calls[-1].append((parts.look_up_function(f"set_{name}"), address))
                 at += size
 
@@ -278,18 +278,18 @@ class OcpWorkspace(HpipmWorkspace):
         """Make HPIPM's stage-wise structures and write all matrices into them."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
-        pattern = Sides.pattern(self._l, self._u)
+        pattern = LimitSides.encode_pattern(self._l, self._u)
         if pattern != self._pattern:
             self._pattern = pattern
             stages = split_stages(self._stages, self._P, self._A, self._l == self._u)
             self._data = StageData(stages, self._P, self._A, self._low, self._high)
         data = self._data
-        sizes, last = tuple(map(pointer, data.sizes)), len(data.stages) - 1
+        sizes, last = tuple(map(array_pointer, data.sizes)), len(data.stages) - 1
         parts = self._parts = HpipmStructures(self._library, "ocp_qp", sizes, self._options, last)
         for k, matrices in enumerate(data.matrices):
             for name, array in matrices.items():
                 if array.size:
-                    parts.look_up_function(f"set_{name}")(k, pointer(array), parts.qp)
+                    parts.look_up_function(f"set_{name}")(k, array_pointer(array), parts.qp)
         self._mask_infinite_sides()
         self._allocate_buffers()
         self._send_vectors(self._q, everything=True)
@@ -299,8 +299,8 @@ class OcpWorkspace(HpipmWorkspace):
         sides, parts = self._data.sides, self._parts
         self._infinite = [np.flatnonzero(np.isinf(a[sides])) for a in (self._low, self._high)]
         for k, limits in enumerate(self._data.limits):
-            for name, mask in limits.masks(self._low, self._high).items():
-                parts.look_up_function(f"set_{name}")(k, pointer(mask), parts.qp)
+            for name, mask in limits.infinite_side_masks(self._low, self._high).items():
+                parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
 
     def _allocate_buffers(self) -> None:
         """Allocate vectors of all stages and tables of their addresses for HPIPM."""
@@ -326,7 +326,7 @@ class OcpWorkspace(HpipmWorkspace):
         tables = [*at_z.T, none, none, at_pi]
         tables += [at_lower[:, 0], at_upper[:, 0], at_lower[:, 1], at_upper[:, 1], none, none]
         self._tables = [np.ascontiguousarray(table) for table in tables]
-        self._pieces = [pointer(table) for table in self._tables]
+        self._pieces = [array_pointer(table) for table in self._tables]
         self._get, self._set = (
             parts.look_up_function("sol_get_all"),
             parts.look_up_function("sol_set_all"),

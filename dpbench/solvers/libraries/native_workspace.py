@@ -277,14 +277,14 @@ class OneSidedWorkspace(NativeWorkspace):
 
     def _build_solver(self) -> None:
         """Make a new library object, with a new form if other limits are infinite."""
-        if not self._form.fits(self._l, self._u):
+        if not self._form.has_same_pattern(self._l, self._u):
             self._convert_matrices()
         self._form.fill(self._q, self._l, self._u)
         self._create_solver_from_form()
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass the vectors on; make a new library object if the pattern changed."""
-        if self._form.fits(low, high):
+        if self._form.has_same_pattern(low, high):
             self._form.fill(q, low, high)
             self._send_form_vectors()
         else:

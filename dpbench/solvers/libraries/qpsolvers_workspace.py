@@ -71,7 +71,7 @@ class QpsolversWorkspace(Workspace):
             self._start = self._shift_last_answer(base.block)
         vectors_only = step.refresh is Refresh.VECTORS
         self.matrix_updates += not vectors_only
-        if vectors_only and self._form.fits(step.l, step.u):
+        if vectors_only and self._form.has_same_pattern(step.l, step.u):
             self._build_qpsolvers_problem(step.q, step.l, step.u)
         else:
             self._convert_problem(base.at(step).copy())
@@ -113,7 +113,7 @@ class QpsolversWorkspace(Workspace):
         answer = self._answer
         if answer is None:
             return Solution.missing(n, m, Status.ERROR, self._failure)
-        status, iterations, reported_ns, detail = self._adapter.claimed_status(
+        status, iterations, reported_ns, detail = self._adapter.read_claimed_status(
             answer, self._options
         )
         if status is Status.SOLVED:
@@ -124,7 +124,7 @@ class QpsolversWorkspace(Workspace):
             solution.iterations, solution.reported_ns = iterations, reported_ns
             return solution
         z = np.array(answer.x, dtype=np.float64)
-        pair = self._form.multipliers(answer.z, answer.y, answer.z_box)
+        pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
         if self.policy == "warm" and status.is_usable and np.isfinite(z).all():
             self._last = z.copy()

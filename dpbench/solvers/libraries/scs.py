@@ -121,7 +121,7 @@ class ScsWorkspace(OneSidedWorkspace):
             return
         self._given, start = True, self._start
         if not self._empty:
-            self._form.split(start.y, start.y_box, self._y)
+            self._form.split_multipliers(start.y, start.y_box, self._y)
             np.subtract(self._b, self._dense_rows @ start.z, out=self._s)
             np.maximum(self._s, 0.0, out=self._s)
             self._s[: self._equalities] = 0.0

@@ -58,23 +58,23 @@ WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
 
 def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     """Open the paper's active-set solver, which has no options."""
-    from dpbench.solvers.own.paper_active_set import PaperActiveSet
+    from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
-    return PaperActiveSet(record.name, "native", policy)
+    return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
 def _open_hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     """Open Hildreth's method with the given options."""
-    from dpbench.solvers.own.hildreth import Hildreth, HildrethSettings
+    from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
-    return Hildreth(record.name, "native", policy, HildrethSettings.from_options(options))
+    return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
 
 
 def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     """Open the unconstrained law, which has no options."""
-    from dpbench.solvers.own.unconstrained import Unconstrained
+    from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
 
-    return Unconstrained(record.name, "native", policy)
+    return UnconstrainedWorkspace(record.name, "native", policy)
 
 
 OWN = {

@@ -79,8 +79,8 @@ from dpbench.solvers.own.active_set.layout import (
     Z,
     code_checksum,
     compiled,
+    row_width,
     starts,
-    width_of,
 )
 from dpbench.solvers.own.active_set.start import compute_unconstrained_values
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
@@ -152,7 +152,7 @@ def has_impossible_zero_row(S: Matrix, H: int, width: int) -> bool:
 @compiled
 def run_sweeps(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
     """Sweep until the multipliers converge; return the number of sweeps or a negative ending."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, _, H, _, _, _ = starts(n, width)
     shift_multipliers(S, width)
     size = compute_unconstrained_values(S, K)
@@ -220,7 +220,7 @@ class HildrethSettings:
         return cls(**options)  # type: ignore[arg-type] # checked above; keys by the caller
 
 
-class Hildreth(CompiledWorkspace):
+class HildrethWorkspace(CompiledWorkspace):
     """Hildreth's dual coordinate method; `warm` keeps the multipliers between steps."""
 
     def __init__(

@@ -35,7 +35,7 @@ USABLE = 1e4
 given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
 
 
-class PaperActiveSet(CompiledWorkspace):
+class PaperActiveSetWorkspace(CompiledWorkspace):
     """The paper's active-set method, compiled; `warm` keeps the active set between steps."""
 
     def solve(self) -> None:

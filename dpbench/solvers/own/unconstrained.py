@@ -16,7 +16,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
 
 
-class Unconstrained(Workspace):
+class UnconstrainedWorkspace(Workspace):
     """The law z = −P⁻¹q (eq. 27), with the Cholesky factor of P kept from step to step."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:

@@ -20,7 +20,7 @@ from dpbench.solvers.own.active_set import factor, layout
 from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
 from dpbench.solvers.own.active_set.kernel import _compile_entry_points, mark_spans, solve_step
 from dpbench.solvers.own.hildreth import hildreth_step
-from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 from tests.solvers.conftest import Sequence, run_program, solve_next, solve_qp
 from tests.solvers.own.random_costs import INF, solve, unlimited
 
@@ -296,7 +296,7 @@ def workspace(monkeypatch):
     def refuse(self, ending):
         raise AssertionError(f"left to the safeguards: ending {ending}")
 
-    monkeypatch.setattr(PaperActiveSet, "_resolve_unclear_ending", refuse)
+    monkeypatch.setattr(PaperActiveSetWorkspace, "_resolve_unclear_ending", refuse)
     return open_workspace("paper_active_set", policy="warm")
 
 

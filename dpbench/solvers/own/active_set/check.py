@@ -63,7 +63,7 @@ from dpbench.solvers.own.active_set.layout import (
     add_product,
     add_scaled_row,
     compiled,
-    width_of,
+    row_width,
 )
 
 PRIMAL, DUAL = 1e-13, 1e-9
@@ -217,7 +217,7 @@ def refine_answer(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
         i = int(S[ACTIVE, k]) & MASK
         _add_multiple_of_row(S, A, i, n, S[LAM, i])
     if S[HEAD, ASIDE] > 0.0:
-        for i in range(width_of(S)):
+        for i in range(row_width(S)):
             if S[SIDE, i] == PUT_ASIDE:
                 _add_multiple_of_row(S, A, i, n, S[LAM, i])
     add_product(S, E, K, X, n, BOUNDS)

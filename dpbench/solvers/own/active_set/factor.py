@@ -68,7 +68,7 @@ from dpbench.solvers.own.active_set.layout import (
     add_scaled_row,
     compiled,
     inlined,
-    width_of,
+    row_width,
 )
 
 DEPENDENT = 1e-11
@@ -218,7 +218,7 @@ def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
 def compute_values_on_set(S: Matrix, H: int) -> None:
     """Compute v = C z for the optimum on the active set (eq. 32)."""
     w = int(S[HEAD, COUNT]) & MASK
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[V, i] = S[V0, i]
     add_active_rows(S, V, -1.0, H)
     for k in range(w):
@@ -231,7 +231,7 @@ def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
     """Write C z, from the problem's own rows, into a row of S."""
     for i in range(n):
         S[out, i] = S[Z, i]
-    for i in range(n, width_of(S)):
+    for i in range(n, row_width(S)):
         S[out, i] = 0.0
     add_product(S, out, P, Z, n, ROWS)
 
@@ -240,7 +240,7 @@ def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
 def recompute_values(S: Matrix, P: int, H: int) -> None:
     """Recompute v = C z from Z and the problem's own rows, and v₀ from v."""
     multiply_by_rows(S, V, P, int(S[HEAD, N_PAD]) & MASK)
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[V0, i] = S[V, i]
     add_active_rows(S, V0, 1.0, H)
 
@@ -260,7 +260,7 @@ def row_violation(S: Matrix, i: int, noise: float) -> float:
 @compiled
 def find_most_violated(S: Matrix, noise: float) -> int:
     """Return the inactive row with the largest violation in the norm of P⁻¹; −1 if none."""
-    excess, width = 0.0, width_of(S)
+    excess, width = 0.0, row_width(S)
     for i in range(width):
         over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
         excess += (over if over > 0.0 else 0.0) + (under if under > 0.0 else 0.0)
@@ -279,7 +279,7 @@ def find_most_violated(S: Matrix, noise: float) -> int:
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
     """List inactive rows violated by at least `SHARE` of the most violated row j."""
     least, count = SHARE * row_violation(S, j, noise), 0
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
             e = row_violation(S, i, noise)
             if e > 0.0 and e >= least:
@@ -315,7 +315,7 @@ def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
 @inlined
 def choose_next_row(S: Matrix, H: int, noise: float) -> int:
     """Return the next row to activate: a candidate, else the most violated of all; −1 if none."""
-    many = width_of(S) > NARROW
+    many = row_width(S) > NARROW
     j = find_worst_candidate(S, H, noise) if many else -1
     if j < 0:
         compute_values_on_set(S, H)
@@ -421,7 +421,7 @@ def write_dependent_rows(
 @compiled
 def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
     """Write UNIT of changed rows; return False if rounding may have cancelled them."""
-    n_pad, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n_pad, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for c in range(len(first) - 1):
         i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0
         for e in range(first[c], first[c + 1]):
@@ -441,7 +441,7 @@ def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) 
 @compiled
 def apply_row_changes(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
     """Replace A in S; return 1 if its nonzeros moved, −1 if all must be factorised anew."""
-    n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, row_width(S)
     count, entries = list_changed_rows(S, A, new)
     if count <= 0 or entries > MANY * n:
         return 0 if count == 0 else -1

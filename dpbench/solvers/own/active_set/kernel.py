@@ -125,8 +125,8 @@ from dpbench.solvers.own.active_set.layout import (
     code_checksum,
     compiled,
     mark_all_spans,
+    row_width,
     starts,
-    width_of,
 )
 from dpbench.solvers.own.active_set.start import (
     choose_start,
@@ -156,7 +156,7 @@ TINY = 1e-300
 @compiled
 def write_farkas_ray(S: Matrix, j: int, side: float, w: int) -> int:
     """Write the Farkas ray that row j contradicts the active rows into λ."""
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[LAM, i] = 0.0
     for k in range(w):
         S[LAM, int(S[ACTIVE, k]) & MASK] = -side * S[R, k]
@@ -169,7 +169,7 @@ def set_duplicate_aside(S: Matrix, H: int, j: int, lam: float) -> int:
     """Exclude row j, a copy of active rows; keep the effect of its multiplier in v₀."""
     S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[V0, i] -= lam * S[H + j, i]
     return 0
 
@@ -235,7 +235,7 @@ def activate_row(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 def readmit_row(S: Matrix, H: int, size: float) -> int:
     """Readmit the excluded duplicate row that is violated most; return it, −1 if none."""
     most, row = 1.0, -1
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         if S[SIDE, i] == PUT_ASIDE:
             over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
             e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
@@ -245,7 +245,7 @@ def readmit_row(S: Matrix, H: int, size: float) -> int:
     if row >= 0:
         S[SIDE, row] = 0.0
         S[HEAD, ASIDE] -= 1
-        for i in range(width_of(S)):
+        for i in range(row_width(S)):
             S[V0, i] += S[LAM, row] * S[H + row, i]
     return row
 
@@ -255,7 +255,7 @@ def activate_violated_rows(
     S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float
 ) -> int:
     """Activate row j, then other violated rows; return 0, or a negative ending."""
-    if j >= 0 and width_of(S) > NARROW:
+    if j >= 0 and row_width(S) > NARROW:
         list_candidates(S, j, coarse)
     while j >= 0:
         ending = activate_row(S, L, H, J, j, size)
@@ -284,14 +284,14 @@ def accept_or_doubt(S: Matrix, P: int, H: int, J: int, L: int, size: float, clea
     if is_degenerate_vertex(S, L, H, J, size):
         return DOUBTFUL
     n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
-    near = clear or (alone and is_near_optimum(S, P, H, n, width_of(S)))
+    near = clear or (alone and is_near_optimum(S, P, H, n, row_width(S)))
     return int(S[HEAD, ITERATIONS]) if near else DOUBTFUL
 
 
 @compiled
 def solve_qp(S: Matrix) -> int:
     """Solve the QP in S; return the number of iterations or a negative ending."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, P, H, J, A, L = starts(n, width)
     size = compute_unconstrained_values(S, K)
     if size < 0.0:
@@ -349,7 +349,7 @@ def _compile_entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     @njit("b1(f8[:, ::1], f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def replace_row_matrix(S, A):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
         if A.shape[0] != S[HEAD, M] or A.shape[1] != S[HEAD, N]:
             return False
         K, P, H, J, rows, L = starts(n, width)
@@ -363,13 +363,13 @@ def _compile_entry_points(version: int) -> tuple[Callable[..., Any], ...]:
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def optimality_excess(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
         return largest_excess(S, starts(n, width)[1], n, width)
 
     @njit("void(f8[:, ::1])", cache=True, error_model="numpy")
     def mark_spans(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
         K, P, H, J, _, _ = starts(n, width)
         mark_all_spans(S, K, P, H, J, n)
 

@@ -106,7 +106,7 @@ starts = compiled(block_starts)
 
 
 @compiled
-def width_of(S: Matrix) -> int:
+def row_width(S: Matrix) -> int:
     """Return the number of columns for rows of C = [I; A], padding included."""
     width: int = (S.shape[1] - TAIL) & MASK
     return width
@@ -153,7 +153,7 @@ BOUNDS, ROWS, ALL = 0, 1, 2
 @compiled
 def mark_row_spans(S: Matrix, first: int, end: int, step: int, n: int) -> None:
     """Write where rows `first` to `end` of S are not zero, `step` rows together."""
-    width = width_of(S)
+    width = row_width(S)
     for r in range(first, end, step):
         count = 0
         for half in range(2):
@@ -200,7 +200,7 @@ def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
 @compiled
 def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None:
     """Add Σ_j S[by, j] · S[first + j], over n rows of K or [P Aᵀ], to a row of S."""
-    width = width_of(S)
+    width = row_width(S)
     for j in range(0, n, GROUP):
         a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
         r = first + j
@@ -218,7 +218,7 @@ def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> 
 @inlined
 def add_scaled_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
     """Add a times row r of H to a row of S, on a part of the columns."""
-    width = width_of(S)
+    width = row_width(S)
     if width <= NARROW:
         n = int(S[HEAD, N_PAD]) & MASK
         for i in range(n if part == ROWS else 0, n if part == BOUNDS else width):

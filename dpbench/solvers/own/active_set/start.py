@@ -120,7 +120,7 @@ from dpbench.solvers.own.active_set.layout import (
     V,
     add_product,
     compiled,
-    width_of,
+    row_width,
 )
 
 
@@ -128,7 +128,7 @@ from dpbench.solvers.own.active_set.layout import (
 def norm_of_values(S: Matrix, row: int) -> float:
     """Return the length of a vector of row values in the norm of P⁻¹."""
     square = 0.0
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         v = S[row, i] * S[UNIT, i]
         square += v * v
     return sqrt(square)
@@ -137,7 +137,7 @@ def norm_of_values(S: Matrix, row: int) -> float:
 @compiled
 def clear_active_set(S: Matrix) -> None:
     """Empty the active set and set all multipliers to zero."""
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
 
@@ -145,7 +145,7 @@ def clear_active_set(S: Matrix) -> None:
 @compiled
 def compute_unconstrained_values(S: Matrix, K: int) -> float:
     """Compute v₀ = −C P⁻¹q; return its length, or a negative ending for bad data."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
         clear_active_set(S)
     S[HEAD, ITERATIONS] = 0.0
@@ -260,7 +260,7 @@ def shift_active_set(S: Matrix, L: int, H: int) -> None:
 @compiled
 def add_equalities_to_start(S: Matrix, L: int, H: int) -> None:
     """Add all independent rows with equal limits to the starting set."""
-    count, width = 0, width_of(S)
+    count, width = 0, row_width(S)
     for i in range(width):
         count += (S[LOW, i] == S[HIGH, i]) & (S[SIDE, i] == 0.0)
     for i in range(width if count else 0):
@@ -300,7 +300,7 @@ LARGEST_WHOLE = 2.0**40
 @compiled
 def is_degenerate_vertex(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
     """Return whether rounding may decide which rows near their limits are active."""
-    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, width_of(S)
+    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, row_width(S)
     for i in range(width):
         u, v = S[UNIT, i], S[V, i]
         little = NEAR * (abs(v) * u + size)
@@ -330,7 +330,7 @@ def side_near_limit(S: Matrix, i: int, size: float) -> float:
 @compiled
 def is_vertex_stable(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
     """Return whether rounding cannot move the vertex; independent near rows join the set."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
         if S[LOW, i] < S[HIGH, i] and side_near_limit(S, i, size) == 2.0:
@@ -370,7 +370,7 @@ def is_vertex_stable(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
 def remove_squeezing_rows(S: Matrix, L: int, H: int, J: int, rest: int, size: float) -> int:
     """Unlist rows that hold others exactly at their limits; return how many are left."""
     n, w, left = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK, rest
-    A = J + width_of(S)
+    A = J + row_width(S)
     for _ in range(rest):
         before, left = left, 0
         for r in range(before):
