@@ -39,7 +39,7 @@ class _OneLineErrorParser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
-def parser(calls: Mapping[str, Callable[[argparse.Namespace], int]]) -> argparse.ArgumentParser:
+def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
     """Make the parser of all commands; `calls` has the function that runs each command."""
     whole = _OneLineErrorParser(
         prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC."

@@ -93,7 +93,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
         if sys.flags.optimize > 1:
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
             raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
-        code = int(arguments.call(arguments))
+        code = int(arguments.call(arguments) or 0)
         # A full disk or a closed pipe is an error here, and not at the end of Python.
         sys.stdout.flush()
         return code
@@ -148,8 +148,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
 
     unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
     estimate = estimate_campaign(**_named_parameters(arguments, *unused, *HOW_TO_END))
-    text = json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines)
-    print(text)
+    print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0
 
 
@@ -201,7 +200,7 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
     return _print_accidents(out)
 
 
-def _rewrite_report(arguments: argparse.Namespace) -> int:
+def _rewrite_report(arguments: argparse.Namespace) -> None:
     """Write the report of a result folder again (`dpbench report`)."""
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -212,16 +211,14 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
     )
     print_ending(*page_and_ending, arguments)
-    return 0
 
 
-def _print_completion(arguments: argparse.Namespace) -> int:
+def _print_completion(arguments: argparse.Namespace) -> None:
     """Print the shell code that sets up completion (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
     print(code)
-    return 0
 
 
 def _compare_folders(arguments: argparse.Namespace) -> int:
@@ -231,7 +228,8 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     if arguments.any_machine:
         print("dpbench: --any-machine is no longer needed", file=sys.stderr)
     if arguments.releases:
-        return _compare_releases(arguments)
+        _compare_releases(arguments)
+        return 0
     if len(arguments.folders) != 2:
         given = f"{len(arguments.folders)} folders were given"
         raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
@@ -249,7 +247,7 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     return int(compared.worse)
 
 
-def _compare_releases(arguments: argparse.Namespace) -> int:
+def _compare_releases(arguments: argparse.Namespace) -> None:
     """Compare solver versions over result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
@@ -257,7 +255,6 @@ def _compare_releases(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         write_releases(Path(arguments.html), over)
     _print_comparison(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
-    return 0
 
 
 def _print_comparison(
@@ -278,7 +275,7 @@ def _print_comparison(
     print_wrapped(lines)
 
 
-def _export_qps(arguments: argparse.Namespace) -> int:
+def _export_qps(arguments: argparse.Namespace) -> None:
     """Write QPs with certified optima to files (`dpbench export`)."""
     from dpbench.bench.sequences.export import check_export_options, export
     from dpbench.cli.terminal import print_wrapped
@@ -293,7 +290,6 @@ def _export_qps(arguments: argparse.Namespace) -> int:
     else:
         text = export(**_named_parameters(arguments, "all"))
     print_wrapped(text.splitlines())
-    return 0
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
@@ -320,41 +316,37 @@ def _reproduce_paper(arguments: argparse.Namespace) -> int:
     return 0 if reproduction.complete else 1
 
 
-def _print_listing(arguments: argparse.Namespace) -> int:
+def _print_listing(arguments: argparse.Namespace) -> None:
     """Print a table of all files or solvers of a kind (`dpbench list`)."""
     from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import make_console
 
     make_console().print(list_table(arguments.what))
-    return 0
 
 
-def _write_own_ship(arguments: argparse.Namespace) -> int:
+def _write_own_ship(arguments: argparse.Namespace) -> None:
     """Write vessel, scenario and suite files of a new ship (`dpbench init`)."""
     from dpbench.cli.own_ship import write_own_ship
     from dpbench.cli.terminal import print_wrapped
 
     print_wrapped(write_own_ship(arguments))
-    return 0
 
 
-def _print_capability(arguments: argparse.Namespace) -> int:
+def _print_capability(arguments: argparse.Namespace) -> None:
     """Print the largest wind that a ship's thrusters hold (`dpbench capability`)."""
     from dpbench.cli.capability import capability_text
 
     print(capability_text(arguments))
-    return 0
 
 
-def _print_machine_check(arguments: argparse.Namespace) -> int:
+def _print_machine_check(arguments: argparse.Namespace) -> None:
     """Print facts about this machine and the harness (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
     print("\n".join(doctor_lines()))
-    return 0
 
 
-def _check_named_file(arguments: argparse.Namespace) -> int:
+def _check_named_file(arguments: argparse.Namespace) -> None:
     """Check a file or stored name and print a description (`dpbench check`)."""
     from dpbench.cli.check import check_file
     from dpbench.cli.terminal import ProgressBar, print_wrapped
@@ -362,7 +354,6 @@ def _check_named_file(arguments: argparse.Namespace) -> int:
     with ProgressBar(transient=True) as bar:
         text = check_file(arguments.file, bar)
     print_wrapped(text.splitlines())
-    return 0
 
 
 _CALLS = {

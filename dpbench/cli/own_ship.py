@@ -11,6 +11,7 @@ import shlex
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -260,7 +261,8 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         **vars(ship),
         command=command,
         comment=_wrap_as_comment,
-        quoted=_quote_toml,
+        # TOML's escapes are those of JSON.
+        quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
         forms=_form_ratios(ship),
         list_cautions=list_cautions(ship),
@@ -351,8 +353,3 @@ def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
         steps=STEPS,
         step_s=choose_sample_s(vessel),
     )
-
-
-def _quote_toml(text: str) -> str:
-    """Quote a string for TOML, whose escapes are those of JSON."""
-    return json.dumps(text, ensure_ascii=False)
