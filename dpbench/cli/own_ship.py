@@ -265,7 +265,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
         forms=_form_ratios(ship),
-        list_cautions=list_cautions(ship),
+        cautions=list_cautions(ship),
         added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
         ranges=list(zip(vessel.tau_min, vessel.tau_max, strict=True)),
     )

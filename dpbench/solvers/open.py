@@ -8,7 +8,7 @@ from functools import partial
 from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
-from dpbench.solvers.settings import resolve
+from dpbench.solvers.settings import resolve_options
 from dpbench.solvers.table import check_available, find_record, native_adapter, qpsolvers_adapter
 
 
@@ -61,9 +61,9 @@ def _make_workspace(
     limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":
         native = native_adapter(solver)
-        return native.workspace(row, policy, {**limits, **resolve(settings, native)})
+        return native.workspace(row, policy, {**limits, **resolve_options(settings, native)})
     adapter = qpsolvers_adapter(solver)
-    options = {**limits, **resolve(settings, adapter)}
+    options = {**limits, **resolve_options(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
     # qpsolvers imports every library it finds, so it is imported only when needed.

@@ -21,7 +21,7 @@ def has_tolerance_levels(solver: str) -> bool:
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
 
-def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
+def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
     """Return the options of a settings name or mapping; SettingsError if they are invalid."""
     name = adapter.record.name
     if isinstance(settings, str):

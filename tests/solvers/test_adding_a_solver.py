@@ -53,7 +53,7 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     program = f"""
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
-from dpbench.solvers.settings import describe_levels, resolve, setting_names
+from dpbench.solvers.settings import describe_levels, resolve_options, setting_names
 from dpbench.solvers.table import TABLE, check_availability, native_adapter
 facts = {{}}
 for name in {NEWCOMERS}:
@@ -65,7 +65,7 @@ for name in {NEWCOMERS}:
         c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
-facts["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
+facts["own key"] = dict(resolve_options({{"precision": 0.5}}, native_adapter("newcomer")))
 print(json.dumps(facts))
 """
     facts: dict[str, Any] = json.loads(_run(copied, "-c", program))

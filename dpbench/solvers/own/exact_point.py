@@ -97,7 +97,7 @@ def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
     return _distance_bound(problem, z, lam, float(gap)) + exact.size()
 
 
-def is_regular(problem: JointQP, z: Vector) -> bool:
+def is_regular_vertex(problem: JointQP, z: Vector) -> bool:
     """Return whether z's limits meet at angles above `STEEP`, so that rounding moves z little."""
     return has_independent_rows(problem.C[find_met_limits(problem, z) != 0], STEEP)
 
@@ -188,7 +188,7 @@ HALVES = 6
 """Ways of halving the rows: any two of the 64 nearest their limits are apart in one of them."""
 
 
-def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
+def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
     """Return whether the answer in S follows small shifts of limits and cost; S is restored."""
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]

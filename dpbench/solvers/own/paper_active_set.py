@@ -2,8 +2,8 @@
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set.kernel`; what rounding keeps that call from deciding is left to
-`proof.solve_carefully`, and no answer of either is called solved that misses the optimality
-conditions of `active_set.check`, or whose place rounding decides (`exact_point.is_sensitive`).
+`proof.solve_carefully`. No answer of either is called solved that misses the optimality conditions
+of `active_set.check`, or whose place rounding decides (`exact_point.is_answer_sensitive`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,12 @@ from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import WRONG
 from dpbench.solvers.own.active_set.kernel import optimality_excess, solve_step
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.exact_point import error_bound, error_units, is_regular, is_sensitive
+from dpbench.solvers.own.exact_point import (
+    error_bound,
+    error_units,
+    is_answer_sensitive,
+    is_regular_vertex,
+)
 from dpbench.solvers.own.proof import (
     drop_ray_rounding,
     has_consistent_equalities,
@@ -102,8 +107,8 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         assert self._S is not None
         if not has_consistent_equalities(qp):
             return "rows with equal limits depend on one another but for rounding"
-        posed, sensitive = JointQP.of(qp), is_sensitive(self._S, qp)
-        if not sensitive and is_regular(posed, self._z):
+        posed, sensitive = JointQP.of(qp), is_answer_sensitive(self._S, qp)
+        if not sensitive and is_regular_vertex(posed, self._z):
             return ""
         bound = error_bound(posed, self._z, np.concatenate([self._y, self._y_box]))
         # A point that satisfies all limits to the last bit is asked for where it can be found.
