@@ -189,7 +189,7 @@ HALVES = 6
 
 
 def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
-    """Return whether the answer in S follows small shifts of limits and cost; S is restored."""
+    """Return whether the answer in the work array follows small shifts of limits and cost."""
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]
     before = vectors.copy(), factor.copy()

@@ -85,7 +85,7 @@ large multiplier times rounding is no error."""
 
 @compiled
 def largest_magnitude(S: Matrix, row: int, n: int) -> float:
-    """Return the largest absolute value of the first n entries of a row of S."""
+    """Return the largest absolute value of the first n entries of a work array row."""
     most = 0.0
     for i in range(n):
         most = max(most, abs(S[row, i]))
@@ -186,7 +186,7 @@ NEAR = 10.0
 
 @compiled
 def _row_times_z(S: Matrix, A: int, i: int, n: int) -> float:
-    """Return the product of row i of C and Z."""
+    """Return the product of row i of C = [I; A] and the answer z."""
     if i < n:
         return float(S[Z, i])
     s, r = 0.0, A + i - n
@@ -197,7 +197,7 @@ def _row_times_z(S: Matrix, A: int, i: int, n: int) -> float:
 
 @compiled
 def _add_multiple_of_row(S: Matrix, A: int, i: int, n: int, a: float) -> None:
-    """Add a times row i of C to X."""
+    """Add a times row i of C = [I; A] to the work row X."""
     if i < n:
         S[X, i] += a
         return

@@ -51,7 +51,7 @@ def new_problem_array(n: int, m: int) -> Matrix:
 
 
 def write_problem(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
-    """Write `qp` and its factors into S; return "" or why it cannot be solved.
+    """Write `qp` and its factors into the work array; return "" or why it cannot be solved.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def write_problem(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
 
 
 def _block_views(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
-    """Return K, [P Aᵀ], H, Jᵀ and A as views of S."""
+    """Return K, [P Aᵀ], H, Jᵀ and A as views of the work array."""
     width = S.shape[1] - layout.TAIL
     firsts = layout.block_starts(n_pad, width)
     return tuple(S[first:end, :width] for first, end in itertools.pairwise(firsts))
@@ -110,19 +110,19 @@ def _inverse_row_lengths(H: Matrix, n: int, rows: slice) -> Vector:
 
 
 def result_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """Return z, y and y_box as views of S."""
+    """Return z, y and y_box as views of the work array."""
     n_pad = _pad_length(n)
     return S[layout.Z, :n], S[layout.LAM, n_pad : n_pad + m], S[layout.LAM, :n]
 
 
 def vector_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """Return q, l and u as views of S."""
+    """Return q, l and u as views of the work array."""
     n_pad = _pad_length(n)
     rows = slice(n_pad, n_pad + m)
     return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]
 
 
 def constraint_views(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
-    """Return A (m, n), l, u, lb and ub as views of S."""
+    """Return A (m, n), l, u, lb and ub as views of the work array."""
     A = _block_views(S, _pad_length(n))[-1][:m, :n]
     return A, *vector_views(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]

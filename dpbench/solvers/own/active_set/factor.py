@@ -80,7 +80,7 @@ from the rows themselves, because the factor has lost six digits of it."""
 
 @compiled
 def substitute_forward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve L x = b in place, b being row `b` of S."""
+    """Solve L x = b in place, b being a row of the work array S."""
     for i in range(w):
         s = S[b, i]
         for k in range(i):
@@ -90,7 +90,7 @@ def substitute_forward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def substitute_backward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve Lᵀ x = b in place, b being row `b` of S."""
+    """Solve Lᵀ x = b in place, b being a row of the work array S."""
     for i in range(w - 1, -1, -1):
         x = S[b, i] * S[INVERSE, i]
         S[b, i] = x
@@ -188,7 +188,7 @@ def solve_direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -
 
 @compiled
 def solve_active(S: Matrix, L: int, w: int) -> bool:
-    """Write λ_W of the active set (eq. 31) to R; return False if a limit is infinite."""
+    """Compute λ_W of the active set (eq. 31); return False if a limit is infinite."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         g = active_limit(S, i)
@@ -208,7 +208,7 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 
 @inlined
 def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
-    """Add sign · H_:W λ_W to a row of S."""
+    """Add sign · H_:W λ_W, a sum over active rows, to a row of the work array S."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
         add_scaled_row(S, out, sign * S[LAM, i], H + i, ALL)
@@ -277,7 +277,7 @@ def find_most_violated(S: Matrix, noise: float) -> int:
 
 @compiled
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
-    """List inactive rows violated by at least `SHARE` of the most violated row j."""
+    """List inactive rows violated by at least 30 % of the most violated row j."""
     least, count = SHARE * row_violation(S, j, noise), 0
     for i in range(row_width(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
@@ -371,7 +371,7 @@ def gather_changed_entries(
 
 @compiled
 def write_changed_rows(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
-    """Write changed rows into A, [P Aᵀ] and SUM; return whether zeros became nonzero."""
+    """Write changed rows into all copies of A; return whether zeros became nonzero."""
     n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
     for c in range(count):
         i, terms = int(S[BEFORE, c]) & MASK, 0.0
@@ -420,7 +420,7 @@ def write_dependent_rows(
 
 @compiled
 def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """Write UNIT of changed rows; return False if rounding may have cancelled them."""
+    """Write inverse lengths of changed rows; return False if rounding may have cancelled them."""
     n_pad, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for c in range(len(first) - 1):
         i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0
@@ -440,7 +440,7 @@ def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) 
 
 @compiled
 def apply_row_changes(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
-    """Replace A in S; return 1 if its nonzeros moved, −1 if all must be factorised anew."""
+    """Replace A in the work array; return 1 if nonzeros moved, −1 if P must be factorised."""
     n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, row_width(S)
     count, entries = list_changed_rows(S, A, new)
     if count <= 0 or entries > MANY * n:

@@ -290,7 +290,7 @@ def accept_or_doubt(S: Matrix, P: int, H: int, J: int, L: int, size: float, clea
 
 @compiled
 def solve_qp(S: Matrix) -> int:
-    """Solve the QP in S; return the number of iterations or a negative ending."""
+    """Solve the QP in the work array; return the number of iterations or a negative ending."""
     n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, P, H, J, A, L = starts(n, width)
     size = compute_unconstrained_values(S, K)

@@ -152,7 +152,7 @@ BOUNDS, ROWS, ALL = 0, 1, 2
 
 @compiled
 def mark_row_spans(S: Matrix, first: int, end: int, step: int, n: int) -> None:
-    """Write where rows `first` to `end` of S are not zero, `step` rows together."""
+    """Write where work array rows `first` to `end` are not zero, `step` rows together."""
     width = row_width(S)
     for r in range(first, end, step):
         count = 0
@@ -181,7 +181,7 @@ def mark_all_spans(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
 
 @compiled
 def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
-    """Return whether rows have a nonzero in the vector that begins at a column."""
+    """Return whether any of several rows has a nonzero in the vector at a column."""
     for r in range(first, end):
         for c in range(column, column + LANES):
             if S[r, c] != 0.0:
@@ -191,7 +191,7 @@ def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
 
 @compiled
 def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
-    """Return the columns of S that hold the nonzero spans of a part of row r."""
+    """Return the columns that hold the nonzero spans of a part of work array row r."""
     first = int(S[r, width]) if part == ROWS else 0
     end = int(S[r, width]) if part == BOUNDS else int(S[r, width + 1])
     return (width + 2 + 2 * first) & MASK, (width + 2 + 2 * end) & MASK

@@ -204,7 +204,7 @@ def restore_dual_feasibility(S: Matrix, L: int) -> None:
 
 @compiled
 def add_to_start(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
-    """Add row i to the starting set, unless it is in, unlimited or nearly dependent."""
+    """Add row i to the starting active set, unless it is in, unlimited or nearly dependent."""
     w = int(S[HEAD, COUNT]) & MASK
     g = S[HIGH, i] if side > 0.0 else S[LOW, i]
     if S[SIDE, i] != 0.0 or abs(g) == inf or w == int(S[HEAD, N]):
@@ -259,7 +259,7 @@ def shift_active_set(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def add_equalities_to_start(S: Matrix, L: int, H: int) -> None:
-    """Add all independent rows with equal limits to the starting set."""
+    """Add all independent rows with equal limits to the starting active set."""
     count, width = 0, row_width(S)
     for i in range(width):
         count += (S[LOW, i] == S[HIGH, i]) & (S[SIDE, i] == 0.0)
@@ -413,7 +413,7 @@ def forces_equality(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> b
 
 @compiled
 def row_entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
-    """Return an entry of row i of C; in column n its limit."""
+    """Return an entry of row i of C = [I; A]; in column n its limit."""
     if column == n:
         return float(S[HIGH, i] if side > 0.0 else S[LOW, i])
     if i < n:
