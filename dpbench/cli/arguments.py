@@ -30,7 +30,7 @@ _STORED = {
 _LOST_CELLS = "1 cells were lost by the benchmark itself, give the same command again; 2 bad input."
 
 
-class _OneLineErrorParser(argparse.ArgumentParser):
+class _TerseParser(argparse.ArgumentParser):
     """An argument parser that prints an error on one line."""
 
     def error(self, message: str) -> NoReturn:
@@ -41,12 +41,10 @@ class _OneLineErrorParser(argparse.ArgumentParser):
 
 def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
     """Make the parser of all commands; `calls` has the function that runs each command."""
-    whole = _OneLineErrorParser(
-        prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC."
-    )
+    whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=_OneLineErrorParser
+        dest="command", metavar="COMMAND", required=True, parser_class=_TerseParser
     )
     for name, (define, summary, epilog) in _COMMANDS.items():
         command = commands.add_parser(name, help=summary, epilog=epilog)

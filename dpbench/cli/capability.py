@@ -114,11 +114,9 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     room = _CELL - 2
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
+    cells = ("".join(map(_format_wind_limit, row)) for row in zip(*columns.values(), strict=True))
     rows = [
-        (
-            f"{from_deg:4.0f}° " + "".join(_format_wind_limit(held[k]) for held in columns.values())
-        ).rstrip()
-        for k, from_deg in enumerate(FROM_DEG)
+        f"{from_deg:4.0f}° {row}".rstrip() for from_deg, row in zip(FROM_DEG, cells, strict=True)
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
     about = (

@@ -62,10 +62,7 @@ def ship_lines(vessel: Vessel) -> list[str]:
         ("largest force", *force),
         ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
         ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
-        (
-            "acceleration at full",
-            *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"), [np.inf] * 3),
-        ),
+        ("acceleration at full", *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
@@ -74,15 +71,12 @@ def ship_lines(vessel: Vessel) -> list[str]:
 
 def _format_range(low: float, high: float) -> str:
     """Format a range of numbers as ±high, or low..high if it is not symmetric."""
-    return (
-        f"±{_format_number(high)}"
-        if low == -high
-        else f"{_format_number(low)}..{_format_number(high)}"
-    )
+    least, most = _format_number(low), _format_number(high)
+    return f"±{most}" if low == -high else f"{least}..{most}"
 
 
 def _format_with_units(
-    values: Vector, units: Sequence[str], most: Sequence[float] | Vector
+    values: Vector, units: Sequence[str], most: Sequence[float] | Vector = 3 * (np.inf,)
 ) -> list[str]:
     """Format numbers with units; "> limit" for a number above its limit."""
     return [

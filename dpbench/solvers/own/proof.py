@@ -1,25 +1,20 @@
-"""Proofs in floating point that a problem has no feasible point.
+"""Decisions that rounding makes hard: infeasibility, dependent equalities, nearly parallel rows.
+
+A Farkas ray (y, y_box) proves that a problem has no feasible point, in exact arithmetic, if
 
     Aᵀy + y_box = 0,   Σ u y⁺ − Σ l y⁻ + Σ ub y_box⁺ − Σ lb y_box⁻ < 0
 
-The referee decides such proofs exactly; a solver's own data have been rounded on the way, so that
-it has to say what it takes for zero.
+The referee checks this exactly. A solver's data have been rounded, so it needs tolerances for zero.
 
-Whether rows with equal limits that depend on one another do so to the last bit.
+A row with equal limits that is a combination of others only up to rounding counts as independent
+and fixes one point more, which rounding decides; an exact combination with another limit leaves no
+point. No floating-point answer is the optimum then, whatever its residuals, so combinations
+rest = r · basis are computed in long double.
 
-A row that is a combination of others but for rounding is, taken for exact, independent of them: it
-asks for one point more, and rounding decides which. One that is a combination exactly, but has
-another limit, leaves no point at all. No answer computed in floating point from such rows is their
-optimum, however well it meets the optimality conditions.
+The careful solver finds the active set on an orthogonal factorisation (`qp/dual_active_set.py`),
+which separates rows at an angle of 1e-10, and refines the answer on it:
 
-    rest = r · basis   in long double
-
-The active-set method on an orthogonal factorisation, for what rounding keeps the fast one from.
-
-`qp/dual_active_set.py` finds the set without ever forming products of rows, so that rows at an
-angle of 1e-10 are still told apart; this module refines the answer on the set and reports.
-
-    refinement:  P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
+    P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
 """
 
 from __future__ import annotations

@@ -7,13 +7,10 @@ With r = P z + q + Cᵀλ and g_i the limit that the sign of λ_i names, an answ
 each but for what is allowed of the size of the terms it is computed from. What the method holds of
 H and its factor does not enter, so that nothing they have lost can go unseen.
 
-The answer on an active set, refined in the problem's own data.
-
-    P δz + C_Wᵀ δλ = −(P z + q + Cᵀλ),   C_W δz = g − C_W z
-
-With e = −P⁻¹(P z + q + Cᵀλ) that is δλ = H_WW⁻¹ (C_W(z + e) − g) and δz = e − P⁻¹C_Wᵀ δλ, and in
-the norm of P the correction is at most ‖e‖ + √(δλᵀ H_WW δλ). The first correction is the share ρ of
-v₀ that K and L are in error by, and the next one would be ρ of the first.
+An answer is refined on its active set by the equations in `kernel`. With e = −P⁻¹(P z + q + Cᵀλ)
+that is δλ = H_WW⁻¹ (C_W(z + e) − g) and δz = e − P⁻¹C_Wᵀ δλ, and in the norm of P the correction is
+at most ‖e‖ + √(δλᵀ H_WW δλ). The first correction is the share ρ of v₀ that K and L are in error
+by, and the next one would be ρ of the first.
 """
 
 from __future__ import annotations
