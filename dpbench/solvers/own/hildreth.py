@@ -139,7 +139,7 @@ def sweep_multipliers(S: Matrix, H: int, width: int) -> tuple[float, float]:
 
 @compiled
 def has_impossible_zero_row(S: Matrix, H: int, width: int) -> bool:
-    """Return whether a zero row has nonzero limits; write the proof into λ."""
+    """Return whether limits of a zero row exclude 0; write the proof into λ."""
     for i in range(width):
         if S[H + i, i] <= 0.0 and (S[LOW, i] > 0.0 or S[HIGH, i] < 0.0):
             for k in range(width):
