@@ -16,7 +16,7 @@ class DpbenchError(Exception):
 
 
 class InputError(DpbenchError, ValueError):
-    """Bad input from a person.
+    """Bad input by the user: where, which key, what was found, what is allowed.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class InputError(DpbenchError, ValueError):
 
 
 class SituationError(InputError):
-    """A situation without a single wrong value: one plain sentence with a remedy."""
+    """Bad input that is no single wrong value: one sentence with a remedy."""
 
     def __init__(self, where: str, sentence: str) -> None:
         super().__init__(where, "", sentence, "")
@@ -47,11 +47,11 @@ class SituationError(InputError):
 
 
 class ShapeError(InputError):
-    """An array of the wrong shape; names the array, the expected and the found shape."""
+    """An array of the wrong shape, with its name, found and expected shape."""
 
     @classmethod
     def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
-        """Make the error of an array `name` of shape `found`."""
+        """Make the error for array `name` of shape `found`."""
         return cls(where, name, f"shape {found}", expected)
 
 
@@ -64,11 +64,11 @@ class SettingsError(InputError):
 
 
 class PolicyError(InputError):
-    """A route or policy that a solver cannot run; `allowed` carries the reason."""
+    """A route or policy that a solver does not offer; `allowed` carries the reason."""
 
 
 class SolverUnavailableError(SituationError):
-    """A solver whose library is missing or fails to import; the sentence carries the reason."""
+    """A solver whose library is missing or fails to import, with the reason."""
 
 
 class ResultsError(InputError):
@@ -81,10 +81,7 @@ _NEAREST = 3
 
 
 def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
-    """Name what is allowed in place of `text`: all known names, or the three nearest and `listing`.
-
-    listing : the command that lists all names; "" where there is none.
-    """
+    """Return all known names, or the three nearest to `text` and the command `listing`."""
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
     # A text of a megabyte would be compared letter by letter.
@@ -94,7 +91,7 @@ def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
 
 
 class RenamedWarning(FutureWarning):
-    """An old word in a file or command; the message names the new one."""
+    """Warning about an old name in a file or command, with the new name."""
 
 
 def warn_renamed(where: str, old: str, new: str) -> None:
@@ -103,4 +100,4 @@ def warn_renamed(where: str, old: str, new: str) -> None:
 
 
 class CertificateError(DpbenchError):
-    """The referee could not certify a problem that by construction has a certificate."""
+    """A problem whose optimum the referee could not certify although it has one."""

@@ -30,7 +30,7 @@ _NO_PLACE = "cannot cache function"
 
 
 def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
-    """Apply `numba.njit` with these arguments, without a cache where nothing can be written."""
+    """Compile with Numba, cached on disk if any folder can be written."""
 
     def compiled(function: Function) -> Function:
         def with_options(given: dict[str, Any]) -> Function:
@@ -42,7 +42,7 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
         except RuntimeError as error:
             if not str(error).startswith(_NO_PLACE):
                 raise
-        return with_options(options if _has_own_cache() else {**options, "cache": False})
+        return with_options(options if _make_own_cache() else {**options, "cache": False})
 
     return compiled
 
@@ -50,32 +50,33 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
 def cache_folders() -> list[Path]:
     """Return the folders below which Numba keeps compiled kernels."""
     given = _config.CACHE_DIR
-    return [Path(given)] if given else [PACKAGE, _user_cache()]
+    return [Path(given)] if given else [PACKAGE, _user_cache_folder()]
 
 
-def _user_cache() -> Path:
+def _user_cache_folder() -> Path:
+    """Return Numba's cache folder of this user."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
-def _has_own_cache() -> bool:
-    """Make the cache of this process, with links to older kernels; return whether it is there."""
+def _make_own_cache() -> bool:
+    """Make a kernel cache in this process's temporary folder; return whether that worked."""
     try:
         own = process_folder() / "kernels"
         own.mkdir()
         for sources in {path.parent for path in PACKAGE.rglob("*.py")}:
-            _link(sources, own)
+            _link_kernels(sources, own)
     except OSError:
         return False
     _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(own)
     return True
 
 
-def _link(sources: Path, own: Path) -> None:
-    """Link the kernels of one folder of sources into the cache, as Numba names it there."""
+def _link_kernels(sources: Path, own: Path) -> None:
+    """Link existing compiled kernels of one source folder into the new cache."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
-    for place in (*given, sources / "__pycache__", _user_cache() / name):
+    for place in (*given, sources / "__pycache__", _user_cache_folder() / name):
         files: list[Path] = []
         with suppress(OSError):
             files = [path for path in place.iterdir() if path.suffix in (".nbi", ".nbc")]

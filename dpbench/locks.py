@@ -33,7 +33,7 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True)
 class Holder:
-    """A process that holds a lock: its result folder, and its start [s since the epoch]."""
+    """A process that holds a lock: its work, start time [s since the epoch] and process ID."""
 
     work: str
     since: float = field(default_factory=time.time)
@@ -45,7 +45,7 @@ class Holder:
 
     @classmethod
     def read(cls, line: str) -> Holder:
-        """Parse the holder of a line; ValueError, KeyError or TypeError for none."""
+        """Parse a lock holder from a JSON line; ValueError, KeyError or TypeError if invalid."""
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())
         holder = cls(work, float(entry["since"]), int(entry["pid"]))
@@ -55,7 +55,7 @@ class Holder:
 
 @dataclass(frozen=True)
 class WaitLimit:
-    """The longest wait for a lock that others hold: 0 for none, None without a limit."""
+    """Longest wait for a lock [s]: 0 for none, None without a limit."""
 
     limit_s: float | None = None
 
@@ -66,10 +66,7 @@ class BusyError(InputError):
 
 @contextmanager
 def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) -> Iterator[bool]:
-    """Hold a lock as long as the block lasts.
-
-    Yields false where another holds it, where it is another user's, or where the disk has no locks.
-    """
+    """Hold a file lock during the block, without waiting; yield false if it cannot be locked."""
     with ExitStack() as stack:
         is_locked = False
         with suppress(OSError):
@@ -81,7 +78,7 @@ def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) 
 
 
 @contextmanager
-def _lock(
+def _hold_lock(
     path: Path,
     opened_as: int,
     how: int,
@@ -89,7 +86,7 @@ def _lock(
     patience: WaitLimit,
     say_waiting: Callable[[str], None],
 ) -> Iterator[int | None]:
-    """Hold a lock as long as the block lasts, after a wait; yield its descriptor, if any."""
+    """Wait for a file lock and hold it during the block; yield its descriptor or None."""
     with ExitStack() as stack:
         locked = None
         # Without a folder for the file, or on a disk that has no locks.
@@ -97,7 +94,7 @@ def _lock(
             lock = os.open(path, opened_as, 0o600)
             stack.callback(os.close, lock)
             if not _try_lock(lock, how):
-                _wait(lock, how, where, patience, say_waiting)
+                _wait_for_lock(lock, how, where, patience, say_waiting)
             locked = lock if _try_lock(lock, how) else None
         yield locked
 
@@ -112,37 +109,37 @@ def lock_file(
     patience: WaitLimit = WaitLimit(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> Iterator[bool]:
-    """Hold the lock of a file as long as the block lasts; yield whether there is one.
+    """Wait for the lock of a file and hold it during the block; yield whether it is held.
 
-    how : ALONE, or TOGETHER with others that use it.
+    how : EXCLUSIVE or SHARED.
     holder : this process, written into the file for those who wait.
     where : the name of the lock in the error.
     say_waiting : called once with the holders, before a wait.
     Raises BusyError at the end of the wait.
     """
-    with _lock(path, FILE, how, where, patience, say_waiting) as lock:
+    with _hold_lock(path, FILE, how, where, patience, say_waiting) as lock:
         if lock is not None:
-            _write(lock, [*_others(lock), holder])
+            _write_holders(lock, [*_read_other_holders(lock), holder])
         try:
             yield lock is not None
         finally:
             if lock is not None:
-                _write(lock, _others(lock))
+                _write_holders(lock, _read_other_holders(lock))
 
 
 @contextmanager
 def lock_folder(
     folder: Path, *, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
-    """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
-    with _lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
+    """Wait for the exclusive lock of a folder and hold it; yield whether it is held."""
+    with _hold_lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
         yield lock is not None
 
 
-def _wait(
+def _wait_for_lock(
     lock: int, how: int, where: str, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> None:
-    """Wait for the lock of an open file as long as there is time for it."""
+    """Wait for the lock of an open file; BusyError at the end of the wait."""
     if patience.limit_s != 0.0:
         say_waiting(describe_holders(lock))
     if patience.limit_s is None:
@@ -160,7 +157,7 @@ def _wait(
 
 
 def _try_lock(lock: int, how: int) -> bool:
-    """Lock an open file unless another process has it; OSError where there are no locks."""
+    """Lock an open file; return whether it was free. OSError where locks are missing."""
     try:
         fcntl.flock(lock, how | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -169,13 +166,13 @@ def _try_lock(lock: int, how: int) -> bool:
 
 
 def describe_holders(lock: int) -> str:
-    """Describe the holders of the lock of an open file or folder."""
-    named = _others(lock) or _known_to_kernel(lock)
+    """Describe the processes that hold the lock of an open file or folder."""
+    named = _read_other_holders(lock) or _read_kernel_holders(lock)
     return " and ".join(map(str, named)) or "another process, which left no name"
 
 
-def _known_to_kernel(lock: int) -> list[Holder]:
-    """Return the holders of a lock that the kernel lists, if any."""
+def _read_kernel_holders(lock: int) -> list[Holder]:
+    """Return the processes that hold a lock according to /proc/locks."""
     status = os.fstat(lock)
     device = status.st_dev
     place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"
@@ -191,8 +188,8 @@ def _known_to_kernel(lock: int) -> list[Holder]:
     return found
 
 
-def _others(lock: int) -> list[Holder]:
-    """Return the other live holders that a lock file names; none of a folder."""
+def _read_other_holders(lock: int) -> list[Holder]:
+    """Return other living processes named in a lock file; none for a folder."""
     found: list[Holder] = []
     if stat.S_ISDIR(os.fstat(lock).st_mode):
         return found
@@ -205,8 +202,8 @@ def _others(lock: int) -> list[Holder]:
     return found
 
 
-def _write(lock: int, named: Sequence[Holder]) -> None:
-    """Write holders into a lock file. Of two that do so at once one may go unnamed."""
+def _write_holders(lock: int, named: Sequence[Holder]) -> None:
+    """Write lock holders into a lock file, one JSON line each."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
         os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)

@@ -27,7 +27,7 @@ ATTEMPTS = 10
 
 @contextmanager
 def temporary_folder(place: Path) -> Iterator[Path]:
-    """Provide a folder for this user alone, removed at the end of the block."""
+    """Make a private temporary folder, removed at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
@@ -36,19 +36,19 @@ def temporary_folder(place: Path) -> Iterator[Path]:
         try:
             yield folder
         finally:
-            _remove(folder)
+            _remove_folder(folder)
 
 
 def clear_abandoned(place: Path) -> None:
-    """Remove the folders at a place whose process has ended."""
+    """Remove temporary folders of ended processes at a place."""
     for folder in place.glob(f"{PREFIX}*"):
         with try_lease(folder, FOLDER) as abandoned:
             if abandoned:
-                _remove(folder)
+                _remove_folder(folder)
 
 
-def _remove(folder: Path) -> None:
-    """Remove a folder; a worker that was interrupted may still write its last files meanwhile."""
+def _remove_folder(folder: Path) -> None:
+    """Remove a folder, with retries while another process still writes to it."""
     for _ in range(ATTEMPTS):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -62,7 +62,7 @@ inherits, and without another reference would remove its parent's folder."""
 
 @cache
 def process_folder() -> Path:
-    """Return a folder of this process, removed when it ends; OSError without a place for one."""
+    """Return this process's temporary folder, removed at its end; OSError without a place."""
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     _held.append(made)
@@ -72,7 +72,7 @@ def process_folder() -> Path:
 
 
 def place_sockets_in_process_folder() -> None:
-    """Have `multiprocessing` keep its sockets in the folder of this process, if its path fits."""
+    """Make `multiprocessing` keep its sockets in this process's folder, if its path is short."""
     before = tempfile.tempdir
     try:
         folder = process_folder()

@@ -28,20 +28,21 @@ _STORED = {
 _LOST_CELLS = "1 cells were lost by the benchmark itself, give the same command again; 2 bad input."
 
 
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, as all errors are."""
+class _TerseParser(argparse.ArgumentParser):
+    """An argument parser that prints an error on one line."""
 
     def error(self, message: str) -> NoReturn:
+        """Print the error on one line and exit with code 2."""
         print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
         raise SystemExit(2)
 
 
-def parser(calls: Mapping[str, Callable[[argparse.Namespace], int]]) -> argparse.ArgumentParser:
-    """Make the parser; the function in `calls` of a command becomes its argument `call`."""
-    whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
+def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
+    """Make the parser of all commands; `calls` has the function that runs each command."""
+    whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+        dest="command", metavar="COMMAND", required=True, parser_class=_TerseParser
     )
     for name, (define, summary, epilog) in _COMMANDS.items():
         command = commands.add_parser(name, help=summary, epilog=epilog)
@@ -50,8 +51,8 @@ def parser(calls: Mapping[str, Callable[[argparse.Namespace], int]]) -> argparse
     return whole
 
 
-def complete(whole: argparse.ArgumentParser) -> None:
-    """Print the completions that the shell requests in the environment, and exit."""
+def offer_completions(whole: argparse.ArgumentParser) -> None:
+    """Print shell completions of solver and file names and exit, when a shell requests them."""
     import argcomplete
 
     commands: Any = next(a for a in whole._actions if isinstance(a, argparse._SubParsersAction))
@@ -59,43 +60,48 @@ def complete(whole: argparse.ArgumentParser) -> None:
         for action in command._actions:
             is_solver, kind = action.dest in ("solver", "solvers"), _STORED.get(action.dest)
             if action.choices is None and (is_solver or kind):
-                action.completer = _list_solvers if is_solver else partial(_list_stored, str(kind))
+                action.completer = (
+                    _list_solvers if is_solver else partial(_list_stored_files, str(kind))
+                )
     argcomplete.autocomplete(whole)
 
 
-def _list_stored(kind: str, **_: object) -> list[str]:
+def _list_stored_files(kind: str, **_: object) -> list[str]:
+    """List the names of stored files of a kind, for shell completion."""
     from dpbench.scenario.problem_files import problem_names
 
     return problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:
+    """List the names of all solvers, for shell completion."""
     from dpbench.solvers.table import solver_names
 
     return list(solver_names())
 
 
-def _option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """Add an option that takes a value; `keywords` as of `add_argument`."""
+def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
+    """Add an option that takes a value, with metavar and help text."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
-def _run(run: Command) -> None:
-    option = partial(_option, run)
+def _add_run_arguments(run: Command) -> None:
+    """Add the arguments of `dpbench run`."""
+    option = partial(_add_option, run)
     run.add_argument("--out", help="result folder (default: results/<suite>)")
-    _add_what_to_run(run)
+    _add_suite_arguments(run)
     option("--engine", "E", "local (default), or dask", default="local")
     option("--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
     tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
     run.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
     estimate = "estimate cells, time and size by the runs in --out, or by stated rates"
     run.add_argument("--dry-run", action="store_true", help=estimate)
-    _add_how_to_end(run)
+    _add_ending_arguments(run)
 
 
-def _add_what_to_run(run: Command) -> None:
-    """Add the suite, and what of it is run."""
-    option = partial(_option, run)
+def _add_suite_arguments(run: Command) -> None:
+    """Add the arguments that select a suite, its cells, and waiting for other campaigns."""
+    option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
     scenario = "only this scenario; another one, or a file, takes the place of the suite's"
@@ -110,39 +116,43 @@ def _add_what_to_run(run: Command) -> None:
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
     wait = run.add_mutually_exclusive_group()
     longest = "the longest wait for another campaign on this machine (no limit)"
-    _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
+    _add_option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
     never = "exit with 2 where another campaign would be waited for"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
-def _cells(cells: Command) -> None:
+def _add_cells_arguments(cells: Command) -> None:
+    """Add the arguments of `dpbench cells`."""
     cells.description = (
         "For schedulers that know only commands: the cells of one of N shards, which "
         "several machines may run at a time. Give the same command again after an interruption."
     )
-    _option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
-    _option(cells, "--out", "DIR", "a folder of its own", required=True)
-    _add_what_to_run(cells)
+    _add_option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
+    _add_option(cells, "--out", "DIR", "a folder of its own", required=True)
+    _add_suite_arguments(cells)
 
 
-def _gather(gather: Command) -> None:
+def _add_gather_arguments(gather: Command) -> None:
+    """Add the arguments of `dpbench gather`."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
-    option = partial(_option, gather)
+    option = partial(_add_option, gather)
     option("--out", "DIR", "result folder", required=True)
     option("--suite", "FILE", "where the suite lies, if it lay elsewhere")
     option("--solver-module", "FILE.py", "the plug-in that the shards were run with")
-    _add_how_to_end(gather)
+    _add_ending_arguments(gather)
 
 
-def _add_how_to_end(command: Command) -> None:
+def _add_ending_arguments(command: Command) -> None:
+    """Add the options --open, --json and --quiet."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
 
 
-def _report(report: Command) -> None:
+def _add_report_arguments(report: Command) -> None:
+    """Add the arguments of `dpbench report`."""
     report.add_argument("dir", help="a folder written by `dpbench run`")
-    option = partial(_option, report)
+    option = partial(_add_option, report)
     repeated = partial(option, action="append", default=[])
     option("--baseline", "S", "the solver set beside the answer")
     repeated("--figures", "FORMAT", "figures as pdf or png too; repeatable")
@@ -153,28 +163,30 @@ def _report(report: Command) -> None:
     option("--for", "S", beside_others, dest="solver")
     repeated("--against", "S", "with --for: beside this one (osqp and daqp); repeatable")
     option("--send", "FOLDER", "make a folder for results/community, to be sent to us")
-    _add_how_to_end(report)
+    _add_ending_arguments(report)
 
 
-def _compare(compare: Command) -> None:
+def _add_compare_arguments(compare: Command) -> None:
+    """Add the arguments of `dpbench compare`."""
     compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
     releases = "instead: each solver over its versions, in two folders or more"
     compare.add_argument("--releases", action="store_true", help=releases)
     reference = "compare ratios to this solver; of two machines always (paper_active_set or daqp)"
-    _option(compare, "--reference", "S", reference)
+    _add_option(compare, "--reference", "S", reference)
     compare.add_argument("--any-machine", action="store_true", help=argparse.SUPPRESS)
     compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
     compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
-    _option(compare, "--markdown", "FILE", "write Markdown; - for the screen")
-    _option(compare, "--html", "FILE", "write a page with figures")
+    _add_option(compare, "--markdown", "FILE", "write Markdown; - for the screen")
+    _add_option(compare, "--html", "FILE", "write a page with figures")
 
 
-def _export(export: Command) -> None:
+def _add_export_arguments(export: Command) -> None:
+    """Add the arguments of `dpbench export`."""
     problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
     export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
-    option = partial(_option, export)
+    option = partial(_add_option, export)
     option("--out", "PATH", "the file to write; of --all a folder (results/sequences)")
     option("--horizons", "N_p/N_c", "instead of the tuning's")
     option("--steps", "N", "only the first N steps", type=int)
@@ -184,8 +196,9 @@ def _export(export: Command) -> None:
     export.add_argument("--part", default="controller", help=part)
 
 
-def _worst_case(worst_case: Command) -> None:
-    add, option = worst_case.add_argument, partial(_option, worst_case)
+def _add_worst_case_arguments(worst_case: Command) -> None:
+    """Add the arguments of `dpbench worst-case`."""
+    add, option = worst_case.add_argument, partial(_add_option, worst_case)
     add("solver", help="the solver to search")
     add("--goal", default="iterations", help="iterations (default) or error")
     option("--scenario", "N", "whose starts are varied", default="paper")
@@ -199,20 +212,23 @@ def _worst_case(worst_case: Command) -> None:
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
-def _paper(paper: Command) -> None:
-    _option(paper, "--out", "DIR", "folder (default: results/paper)")
+def _add_paper_arguments(paper: Command) -> None:
+    """Add the arguments of `dpbench paper`."""
+    _add_option(paper, "--out", "DIR", "folder (default: results/paper)")
 
 
-def _list(listing: Command) -> None:
-    listing.add_argument("what", choices=_LISTED, type=_plural)
+def _add_list_arguments(listing: Command) -> None:
+    """Add the arguments of `dpbench list`."""
+    listing.add_argument("what", choices=_LISTED, type=_pluralise)
 
 
-def _plural(word: str) -> str:
-    """Return `solvers` for `solver`, and an unknown word as it is."""
+def _pluralise(word: str) -> str:
+    """Return `solvers` for `solver`, and any word that is no listed kind unchanged."""
     return f"{word}s" if f"{word}s" in _LISTED else word
 
 
-def _check(check: Command) -> None:
+def _add_check_arguments(check: Command) -> None:
+    """Add the arguments of `dpbench check`."""
     file = (
         "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
         "step is certified anew; or a folder of results/community"
@@ -220,22 +236,20 @@ def _check(check: Command) -> None:
     check.add_argument("file", help=file)
 
 
-def _doctor(doctor: Command) -> None:
-    """Take no arguments."""
-
-
-def _completion(completion: Command) -> None:
+def _add_completion_arguments(completion: Command) -> None:
+    """Add the arguments of `dpbench completion`."""
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
 
 
-def _init(init: Command) -> None:
+def _add_init_arguments(init: Command) -> None:
+    """Add the arguments of `dpbench init`."""
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments. With NAME.toml there and --sea N alone: the same ship "
         "in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
-    option = partial(_option, init)
+    option = partial(_add_option, init)
     option("--length", "M", "between perpendiculars [m]")
     option("--breadth", "M", "[m]")
     option("--draught", "M", "[m]")
@@ -251,13 +265,14 @@ def _init(init: Command) -> None:
     init.add_argument("--force", action="store_true", help="write over files that are there")
 
 
-def _capability(capability: Command) -> None:
+def _add_capability_arguments(capability: Command) -> None:
+    """Add the arguments of `dpbench capability`."""
     capability.description = (
         "For 36 directions, intact and after the loss of each failure group; with "
         "--solver, which solvers tell the loads at that edge apart."
     )
     capability.add_argument("vessel", help="a vessel with thrusters by name, or a TOML file")
-    option = partial(_option, capability)
+    option = partial(_add_option, capability)
     option("--sides", "N", "polygons with N sides in place of circles", type=int)
     solver = (
         "judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
@@ -271,46 +286,54 @@ def _capability(capability: Command) -> None:
 
 _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
     "run": (
-        _run,
+        _add_run_arguments,
         "run a suite and write its report",
         f"Exit code: 0 done (a solver's failure is data); {_LOST_CELLS}",
     ),
     "cells": (
-        _cells,
+        _add_cells_arguments,
         "run a shard of a suite, for `gather`",
         f"Exit code: 0 done (a solver's failure is data); {_LOST_CELLS}",
     ),
     "gather": (
-        _gather,
+        _add_gather_arguments,
         "put the shards of a suite together that `cells` ran, and write the report",
         "Exit code: 0 done; 1 cells are missing: `dpbench run` into the folder runs them on "
         "this machine; 2 bad input.",
     ),
-    "report": (_report, "write the report of a result folder again", None),
+    "report": (_add_report_arguments, "write the report of a result folder again", None),
     "compare": (
-        _compare,
+        _add_compare_arguments,
         "what became slower or worse from A to B; solvers over their releases",
         "Exit code: 0 no regression is shown; 1 one is; 2 bad input.",
     ),
-    "export": (_export, "write QPs with certified optima for others", None),
-    "worst-case": (_worst_case, "search for a solver's slowest or least accurate step", None),
+    "export": (_add_export_arguments, "write QPs with certified optima for others", None),
+    "worst-case": (
+        _add_worst_case_arguments,
+        "search for a solver's slowest or least accurate step",
+        None,
+    ),
     "paper": (
-        _paper,
+        _add_paper_arguments,
         "reproduce the paper: Figures 4-7, the data behind them, its claims",
         "Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
         "benchmark itself, give the same command again; 2 bad input.",
     ),
-    "list": (_list, "what there is", None),
-    "check": (_check, "check a vessel, scenario, suite, sequence or sent result", None),
-    "doctor": (_doctor, "is this machine quiet, is the harness right", None),
+    "list": (_add_list_arguments, "what there is", None),
+    "check": (
+        _add_check_arguments,
+        "check a vessel, scenario, suite, sequence or sent result",
+        None,
+    ),
+    "doctor": (lambda doctor: None, "is this machine quiet, is the harness right", None),
     "completion": (
-        _completion,
+        _add_completion_arguments,
         "complete names in a shell",
         'bash, zsh: eval "$(dpbench completion bash)"; fish: dpbench completion fish | source',
     ),
-    "init": (_init, "write vessel, scenario and suite of your own ship", None),
+    "init": (_add_init_arguments, "write vessel, scenario and suite of your own ship", None),
     "capability": (
-        _capability,
+        _add_capability_arguments,
         "the largest wind a ship's thrusters hold (DNV-ST-0111 level 1)",
         None,
     ),

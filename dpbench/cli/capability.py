@@ -21,7 +21,7 @@ from dpbench.bench.capability.study import (
 )
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
-from dpbench.cli.terminal import WIDTH, Bar
+from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
@@ -38,23 +38,23 @@ _CELL = 15
 
 def capability_text(arguments: argparse.Namespace) -> str:
     """Return the output of `dpbench capability`; InputError for a bad vessel or option."""
-    figure = _figure_file(arguments.figure)
+    figure = _parse_figure_path(arguments.figure)
     for name in arguments.solver or ():
         if name != "all":
             check_available(name)
     vessel = load_vessel(arguments.vessel)
     frontier = CapabilityPlot(vessel, arguments.sides)
     quiet = arguments.json
-    with Bar(transient=True, quiet=quiet) as bar:
+    with ProgressBar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
     if figure is not None:
-        _draw(capability, vessel, figure)
+        _save_rose_figure(capability, vessel, figure)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
         answers = _judge_solvers(frontier, capability, out, arguments)
     if arguments.json:
-        report = as_document(capability, vessel, answers)
+        report = make_json_report(capability, vessel, answers)
         return json.dumps(report, ensure_ascii=False, indent=2)
     lines = table_lines(capability, vessel)
     if answers:
@@ -65,21 +65,22 @@ def capability_text(arguments: argparse.Namespace) -> str:
 def _judge_solvers(
     frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """Judge the answers of the chosen solvers to the QPs at the edge of polygons."""
+    """Run solvers on the QPs at the capability limit and count right and wrong answers."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
         frontier = CapabilityPlot(frontier.vessel, SIDES)
-        with Bar(transient=True, quiet=quiet) as bar:
+        with ProgressBar(transient=True, quiet=quiet) as bar:
             capability = compute_capability(frontier, bar)
     suite = write_capability_suite(frontier, capability, out)
-    with Bar(transient=True, quiet=quiet) as bar:
+    with ProgressBar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
     return count_answers(records, [run for run in records.runs if run.default_route])
 
 
-def _figure_file(name: str | None) -> Path | None:
+def _parse_figure_path(name: str | None) -> Path | None:
+    """Return the path of the figure to write; InputError for an unknown file type."""
     if name is None:
         return None
     path = Path(name)
@@ -88,7 +89,8 @@ def _figure_file(name: str | None) -> Path | None:
     return path
 
 
-def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
+def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+    """Draw the largest wind by direction as a polar plot and save it."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN
     from dpbench.report.charts.capability import draw_capability_rose
     from dpbench.report.charts.render import save_figure
@@ -103,16 +105,16 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """Make the table for a terminal: a row for each direction, at most 80 columns."""
+    """Format the largest wind by direction and loss case as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
     room = _CELL - 2
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
+    cells = ("".join(map(_format_wind_limit, row)) for row in zip(*columns.values(), strict=True))
     rows = [
-        (f"{from_deg:4.0f}° " + "".join(_cell(held[k]) for held in columns.values())).rstrip()
-        for k, from_deg in enumerate(FROM_DEG)
+        f"{from_deg:4.0f}° {row}".rstrip() for from_deg, row in zip(FROM_DEG, cells, strict=True)
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
     about = (
@@ -121,15 +123,17 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + where the standard knows no more weather."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_verdict(capability)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_notation_lines(capability)]
 
 
-def _cell(held: WindLimit) -> str:
+def _format_wind_limit(held: WindLimit) -> str:
+    """Format a wind limit [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard(held) else " "
     return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
-def _verdict(capability: Capability) -> list[str]:
+def _notation_lines(capability: Capability) -> list[str]:
+    """Explain the capability notation, the thrusters lost in each case and assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -145,7 +149,7 @@ def _verdict(capability: Capability) -> list[str]:
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
-    """Make the table of solvers: how many answers to static allocations are right and wrong."""
+    """Format a table of solvers with counts of right and wrong answers and solve times."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
@@ -164,10 +168,10 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
     return [*textwrap.wrap(about, WIDTH), "", *table]
 
 
-def as_document(
+def make_json_report(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
-    """Return all of it, for JSON."""
+    """Return capability and solver results as a dictionary for JSON."""
     return {
         "vessel": capability.vessel,
         "title": vessel.title,

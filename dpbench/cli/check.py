@@ -22,10 +22,7 @@ CHECKED = (
 
 
 def check_file(name: str, progress: Progress | None = None) -> str:
-    """Check a file by name or path, as `CHECKED` lists them, certify its optima, and describe it.
-
-    Raises InputError naming file, key, what was found and what is allowed.
-    """
+    """Check a stored name or a file, certify optima of sequences, and return a description."""
     if problems.is_stored(name):
         return _check_sequence(problems.sequence_path(name), progress)
     # A scenario and a suite may have one name.
@@ -44,11 +41,11 @@ def check_file(name: str, progress: Progress | None = None) -> str:
         return _check_scenario(name, progress)
     if name.endswith(".toml") or "/" in name:
         raise InputError(name, "", "no such file or folder", CHECKED)
-    raise _unknown(name)
+    raise _unknown_name_error(name)
 
 
-def _unknown(name: str) -> InputError:
-    """Return the error of an unknown name, with the nearest names of all kinds."""
+def _unknown_name_error(name: str) -> InputError:
+    """Return the error for an unknown name, with the nearest names of all kinds."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.problem_names(kind)]
     near = difflib.get_close_matches(name, names, n=3)
@@ -58,7 +55,7 @@ def _unknown(name: str) -> InputError:
 
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:
-    """Check a folder of results that was sent, or of problems by qpsolvers."""
+    """Check a folder of submitted results, or of problems written by qpsolvers."""
     from dpbench.report.documents.sent import SENDER, check_sent_folder
 
     if any(os.path.isfile(folder / name) for name in (SENDER, "runs.parquet")):
@@ -67,13 +64,14 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
 
 
 def _check_sequence(path: Path, progress: Progress | None) -> str:
+    """Certify the optimum of every step of a sequence and describe the outcome."""
     from dpbench.bench.sequences.verify import verify_sequence
 
     return verify_sequence(path, progress)
 
 
 def _check_document(file: Path, progress: Progress | None) -> str:
-    """Check a TOML file, recognised by its tables."""
+    """Check a vessel, scenario or suite file, recognised by its tables."""
     document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress)
@@ -84,6 +82,7 @@ def _check_document(file: Path, progress: Progress | None) -> str:
 
 
 def _check_vessel(file: Path, progress: Progress | None) -> str:
+    """Validate a vessel file and describe the ship."""
     vessel = problems.read_model(file, VesselFile).vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
@@ -91,6 +90,7 @@ def _check_vessel(file: Path, progress: Progress | None) -> str:
 
 
 def _check_scenario(name: str | Path, progress: Progress | None) -> str:
+    """Validate a scenario and describe its ship, weather and controller."""
     from dpbench.cli.check_ship import scenario_text
     from dpbench.scenario.scenario import load_scenario
 
@@ -98,6 +98,7 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
+    """Validate a suite file and count its cells."""
     from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
 
     of_suite = SuiteFile.list_cell_tables()

@@ -25,77 +25,82 @@ _TRIALS = 2 * len(OFFSETS_M)
 
 
 def vessel_text(file: Path, vessel: Vessel, progress: Progress | None = None) -> str:
-    """Describe a vessel, and the largest offsets from which the two tunings bring it back."""
+    """Describe a vessel and the sideways offsets from which two controllers recover."""
     tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
     first = f"{file.name}: a vessel, {vessel.title}"
-    return _text(first, [*ship_lines(vessel), *_offset_lines(tuned, progress)])
+    return _join_lines(first, [*ship_lines(vessel), *_try_offsets(tuned, progress)])
 
 
 def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | None = None) -> str:
-    """Describe a scenario: its ship, the load of its weather, the offsets its tuning holds."""
+    """Describe a scenario: ship, weather load, and offsets from which it recovers."""
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
-    return _text(first, [*about, *_offset_lines([scenario], progress)])
+    return _join_lines(first, [*about, *_try_offsets([scenario], progress)])
 
 
-def _text(first: str, others: Sequence[str]) -> str:
+def _join_lines(first: str, others: Sequence[str]) -> str:
+    """Join lines of text, the first one shortened to 80 columns."""
     return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
 
 
 def ship_lines(vessel: Vessel) -> list[str]:
-    """Make the lines of a vessel: a table of three axes, and its sideways force."""
+    """Format limits, rise times and accelerations of a vessel by axis, as a table."""
     kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
     limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
     units = (f"{kilo}N", f"{kilo}N", f"{kilo}N·m")
-    force = [f"{_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
+    force = [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
     rise = vessel.tau_max / vessel.rate_max
     reach = vessel.reachable_acceleration()[1] * _KILO
-    drift = _with_units(
+    drift = _format_with_units(
         ships.steady_speed(vessel)[1] * _DEGREES, _SPEEDS, ships.slow_speed(vessel) * _DEGREES
     )
     rows = [
         ("", "surge", "sway", "yaw"),
         ("largest force", *force),
-        ("zero to full in", *(f"{_short(t)} s" for t in rise)),
-        ("time constant", *(f"{_short(t)} s" for t in ships.axis_time_constants_s(vessel))),
-        ("acceleration at full", *_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"), [np.inf] * 3)),
+        ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
+        ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
+        ("acceleration at full", *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     return [*(line.rstrip() for line in table), _sideways_line(vessel, f"{kilo}N", per)]
 
 
-def _range(low: float, high: float) -> str:
-    return f"±{_short(high)}" if low == -high else f"{_short(low)}..{_short(high)}"
+def _format_range(low: float, high: float) -> str:
+    """Format a range of numbers as ±high, or low..high if it is not symmetric."""
+    least, most = _format_number(low), _format_number(high)
+    return f"±{most}" if low == -high else f"{least}..{most}"
 
 
-def _with_units(values: Vector, units: Sequence[str], most: Sequence[float] | Vector) -> list[str]:
-    """Format numbers with units; of one above `most` only that."""
+def _format_with_units(
+    values: Vector, units: Sequence[str], most: Sequence[float] | Vector = 3 * (np.inf,)
+) -> list[str]:
+    """Format numbers with units; "> limit" for a number above its limit."""
     return [
-        f"{_short(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
+        f"{_format_number(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
         for value, unit, limit in zip(values, units, most, strict=True)
     ]
 
 
-def _short(value: float) -> str:
-    """Format three digits; large numbers whole, without a point."""
+def _format_number(value: float) -> str:
+    """Format a number to three digits, large ones without a decimal point."""
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
 def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
-    """Compare the force for 1 m/s sideways with the limits; name the current that can be held."""
+    """Compare the force for 1 m/s of sideways speed with the limits, and state the current held."""
     needs = ships.sideways_force(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.slow_speed(vessel)[ships.SWAY]
     current = ships.largest_current_abeam_mps(vessel)
     largest = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
-    needed = f"1 m/s sideways needs {_short(needs)} {unit} of {_short(has)}"
+    needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
     return f"{needed}; holds {largest} m/s of current abeam"
 
 
 def _weather_line(scenario: Scenario) -> str:
-    """Return the mean force of the weather at the reference as a share of the limits."""
+    """Format the mean weather force as percentages of the actuator limits."""
     vessel = scenario.vessel
     load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
@@ -104,8 +109,8 @@ def _weather_line(scenario: Scenario) -> str:
     return f"mean force of its weather: {shares} of the limits{over}"
 
 
-def _offset_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
-    """Try which offsets each tuning holds in still water."""
+def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
+    """Simulate sideways offsets in still water and report which each controller recovers."""
     progress = progress or Silent()
     progress.start(_TRIALS * len(tuned))
     lines = []
@@ -123,11 +128,12 @@ def _offset_lines(tuned: Sequence[Scenario], progress: Progress | None) -> list[
         controller = scenario.controller.label
         # Offsets are at full size; a model ship's own are printed.
         scale = Froude(float(scenario.files["vessel"]["model_scale"])).length
-        lines.append(f"tuning {controller:<14} {_bracket_text(bracket, scale)}")
+        lines.append(f"tuning {controller:<14} {_describe_bracket(bracket, scale)}")
     return lines
 
 
-def _bracket_text(bracket: Bracket, scale: float) -> str:
+def _describe_bracket(bracket: Bracket, scale: float) -> str:
+    """Describe the largest offset that is recovered and the smallest that is not [m]."""
     holds = f"{float(rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
         return f"holds calm water, from {holds} m sideways and all below"

@@ -9,8 +9,8 @@ from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 
 
-def compile_all() -> None:
-    """Fill Numba's cache, and print how long it took; nothing where it is filled."""
+def compile_all_kernels() -> None:
+    """Compile all Numba kernels that are not cached, and print the time taken."""
     absent = list_uncompiled_modules((OWN, LOOP))
     if not absent:
         return
@@ -24,4 +24,4 @@ def compile_all() -> None:
 
 
 if __name__ == "__main__":
-    compile_all()
+    compile_all_kernels()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Group, RenderableType
 
-from dpbench.cli.terminal import entry, plain, small_table
+from dpbench.cli.terminal import format_entry, make_small_table, unstyled_text
 from dpbench.report.formats import MISSING
 
 SEQUENCES_ARE = """
@@ -17,12 +17,13 @@ K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
 def list_table(kind: str) -> RenderableType:
-    """Make the table of the solvers, or of the problems of a kind, in 80 columns."""
-    makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (makers | {"sequences": _sequences, "solvers": _solvers})[kind]()
+    """Make a table of all vessels, scenarios, suites, sequences or solvers."""
+    makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
+    return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()
 
 
-def _vessels() -> RenderableType:
+def _list_vessels() -> RenderableType:
+    """Describe all stored vessels: time constants and acceleration at full thrust."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
 
@@ -34,11 +35,12 @@ def _vessels() -> RenderableType:
         surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
         about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
-        entries.append(entry(name, [vessel.title, *about]))
-    return plain("\n".join(entries))
+        entries.append(format_entry(name, [vessel.title, *about]))
+    return unstyled_text("\n".join(entries))
 
 
-def _scenarios() -> RenderableType:
+def _list_scenarios() -> RenderableType:
+    """Describe all stored scenarios: vessel, tuning, horizons and number of steps."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
@@ -49,29 +51,31 @@ def _scenarios() -> RenderableType:
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
         about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
-        entries.append(entry(name, [about, scenario.shows]))
-    return plain("\n".join(entries))
+        entries.append(format_entry(name, [about, scenario.shows]))
+    return unstyled_text("\n".join(entries))
 
 
-def _suites() -> RenderableType:
+def _list_suites() -> RenderableType:
+    """Make a table of all stored suites with their number of cells."""
     from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import load_suite
     from dpbench.scenario import problem_files as problems
 
-    table = small_table("name", "cells", "asks")
+    table = make_small_table("name", "cells", "asks")
     for name in problems.problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
     return table
 
 
-def _sequences() -> RenderableType:
+def _list_sequences() -> RenderableType:
+    """Make a table of all stored QP sequences with their sizes and active limits."""
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
     from dpbench.scenario import problem_files as problems
 
-    table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
+    table = make_small_table("name", "n", "m", "K", "active", "matrices", "samples")
     for name in problems.problem_names(problems.SEQUENCES):
         recorded = load_recorded(problems.sequence_path(name))
         sequence, meta = recorded.sequence, recorded.sequence.meta
@@ -84,16 +88,18 @@ def _sequences() -> RenderableType:
             "constant" if sequence.P is None else "each step's",
             "each" if every == 1 else f"each {every}th",
         )
-    return Group(table, plain(SEQUENCES_ARE))
+    return Group(table, unstyled_text(SEQUENCES_ARE))
 
 
-def _solvers() -> RenderableType:
+def _list_solvers() -> RenderableType:
+    """Describe all solvers of the table and all plug-ins."""
     from dpbench.solvers.table import solver_names
 
-    return plain("\n".join(map(_solver, solver_names())))
+    return unstyled_text("\n".join(map(_describe_solver, solver_names())))
 
 
-def _solver(name: str) -> str:
+def _describe_solver(name: str) -> str:
+    """Describe a solver: version, method, policies and settings."""
     from dpbench.solvers.settings import describe_levels
     from dpbench.solvers.table import check_availability, find_record
 
@@ -102,4 +108,4 @@ def _solver(name: str) -> str:
     version = library.version or "" if library.ok else f"not installed: {library.reason}"
     policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
     about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
-    return entry(f"{name} {version}".rstrip(), about)
+    return format_entry(f"{name} {version}".rstrip(), about)

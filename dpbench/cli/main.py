@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
-from dpbench.cli.arguments import HOW_TO_END, complete, parser
+from dpbench.cli.arguments import HOW_TO_END, offer_completions, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, warn_renamed
 from dpbench.files.writing import write_named_file
@@ -32,7 +32,7 @@ OLD_COMMANDS = {"hunt": "worst-case"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line with these words, or those of this process; return the exit code."""
+    """Run the command line, of this process if `argv` is None; return the exit code."""
     if argv is not None:
         with first_signal_only() as interruption:
             return _run_until_signal(argv, interruption)
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run a command until it, a signal or the reader of its output ends; return the exit code."""
+    """Run a command until it ends or a signal arrives; return the exit code."""
     try:
         code = _call_command(argv, interruption)
     except KeyboardInterrupt:
@@ -65,7 +65,7 @@ def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
 
 
 def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
-    """Call the command that the words name; return the exit code."""
+    """Parse the words of a command line and run the command; return the exit code."""
     words = list(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
@@ -75,24 +75,25 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
             words[0] = OLD_COMMANDS[words[0]]
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
-            complete(whole)
-        return _exit_code(whole.parse_args(words), interruption)
+            offer_completions(whole)
+        return _call_and_report_errors(whole.parse_args(words), interruption)
 
 
 def _print_warning(
     message: Warning | str, category: type[Warning], *where: Any, **file: Any
 ) -> None:
-    """Print a warning as one line, that of an old word without the name of its class."""
+    """Print a warning on one line, with its class unless it is about a renamed word."""
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
-def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int:
+def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
+    """Run a parsed command, print its errors on one line; return the exit code."""
     try:
         if sys.flags.optimize > 1:
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
             raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
-        code = int(arguments.call(arguments))
+        code = int(arguments.call(arguments) or 0)
         # A full disk or a closed pipe is an error here, and not at the end of Python.
         sys.stdout.flush()
         return code
@@ -128,45 +129,47 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
 
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
-    resumes = arguments.call in (_run, _cells)
+    """Print that the command was interrupted; return its exit code."""
+    resumes = arguments.call in (_run_suite, _run_shard)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
 
 
-def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
-    """Return the given arguments, by the names of the parameters that they are for."""
+def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
+    """Return parsed arguments by name, except the command and those in `without`."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-def _dry_run(arguments: argparse.Namespace) -> int:
+def _print_estimate(arguments: argparse.Namespace) -> int:
+    """Print the estimated cells, time and size of a campaign (`run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
-    estimate = estimate_campaign(**_given(arguments, *unused, *HOW_TO_END))
-    text = json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines)
-    print(text)
+    estimate = estimate_campaign(**_named_parameters(arguments, *unused, *HOW_TO_END))
+    print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run_suite(arguments: argparse.Namespace) -> int:
+    """Run a suite and write its report (`dpbench run`)."""
     if arguments.dry_run:
-        return _dry_run(arguments)
+        return _print_estimate(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar, say_ending
+    from dpbench.cli.terminal import ProgressBar, print_ending
     from dpbench.report.write import write_report_with_summary
 
-    with Bar(quiet=arguments.quiet or arguments.json) as bar:
-        out = run_campaign(**_given(arguments, "dry_run", *HOW_TO_END), progress=bar)
+    with ProgressBar(quiet=arguments.quiet or arguments.json) as bar:
+        out = run_campaign(**_named_parameters(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
         page_and_ending = write_report_with_summary(out)
-    say_ending(*page_and_ending, arguments)
+    print_ending(*page_and_ending, arguments)
     return _print_accidents(out)
 
 
 def _print_accidents(out: Path) -> int:
-    """Print the accidents of the benchmark itself, a line each; return the exit code."""
+    """Print harness errors of a run, one per line; return exit code 1 if cells were lost."""
     from dpbench.bench.record.result_folder import read_accidents
 
     lost, remarks = read_accidents(out)
@@ -175,54 +178,58 @@ def _print_accidents(out: Path) -> int:
     return int(lost > 0)
 
 
-def _cells(arguments: argparse.Namespace) -> int:
+def _run_shard(arguments: argparse.Namespace) -> int:
+    """Run one shard of a suite and print where its results are (`dpbench cells`)."""
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
+    from dpbench.cli.terminal import ProgressBar
 
-    with Bar() as bar:
-        out = run_campaign(**_given(arguments), progress=bar)
+    with ProgressBar() as bar:
+        out = run_campaign(**_named_parameters(arguments), progress=bar)
     print(f"shard {arguments.shard} is in {out}")
     return _print_accidents(out)
 
 
-def _gather(arguments: argparse.Namespace) -> int:
+def _gather_shards(arguments: argparse.Namespace) -> int:
+    """Merge the shards of a suite and write the report (`dpbench gather`)."""
     from dpbench.bench.gather import gather
-    from dpbench.cli.terminal import say_ending
+    from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
-    out = gather(**_given(arguments, *HOW_TO_END))
-    say_ending(*write_report_with_summary(out), arguments)
+    out = gather(**_named_parameters(arguments, *HOW_TO_END))
+    print_ending(*write_report_with_summary(out), arguments)
     return _print_accidents(out)
 
 
-def _report(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.terminal import say_ending
+def _rewrite_report(arguments: argparse.Namespace) -> None:
+    """Write the report of a result folder again (`dpbench report`)."""
+    from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
     page_and_ending = write_report_with_summary(
-        arguments.dir, **_given(arguments, "dir", *HOW_TO_END)
+        arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
     )
-    say_ending(*page_and_ending, arguments)
-    return 0
+    print_ending(*page_and_ending, arguments)
 
 
-def _completion(arguments: argparse.Namespace) -> int:
+def _print_completion(arguments: argparse.Namespace) -> None:
+    """Print the shell code that sets up completion (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
     print(code)
-    return 0
 
 
-def _compare(arguments: argparse.Namespace) -> int:
+def _compare_folders(arguments: argparse.Namespace) -> int:
+    """Compare two result folders; return 1 if the second is worse (`dpbench compare`)."""
     from dpbench.report.compare.comparison import compare
 
     if arguments.any_machine:
         print("dpbench: --any-machine is no longer needed", file=sys.stderr)
     if arguments.releases:
-        return _releases(arguments)
+        _compare_releases(arguments)
+        return 0
     if len(arguments.folders) != 2:
         given = f"{len(arguments.folders)} folders were given"
         raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
@@ -240,126 +247,128 @@ def _compare(arguments: argparse.Namespace) -> int:
     return int(compared.worse)
 
 
-def _releases(arguments: argparse.Namespace) -> int:
+def _compare_releases(arguments: argparse.Namespace) -> None:
+    """Compare solver versions over result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
         write_releases(Path(arguments.html), over)
     _print_comparison(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
-    return 0
 
 
 def _print_comparison(
     markdown: str, tables: Sequence[Table], lines: Sequence[str], file: str | None
 ) -> None:
-    """Print tables, then lines; write the Markdown into a file, or print it alone for `-`."""
-    from dpbench.cli.terminal import console, report_table, say
+    """Print tables and lines of a comparison, or its Markdown to a file or the screen."""
+    from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 
     if file == "-":
         print(markdown, end="")
         return
     if file is not None:
         write_named_file(Path(file), markdown.encode())
-    screen = console()
+    screen = make_console()
     for table in tables:
-        screen.print(report_table(table, screen))
+        screen.print(make_report_table(table, screen))
         screen.print()
-    say(lines)
+    print_wrapped(lines)
 
 
-def _export(arguments: argparse.Namespace) -> int:
+def _export_qps(arguments: argparse.Namespace) -> None:
+    """Write QPs with certified optima to files (`dpbench export`)."""
     from dpbench.bench.sequences.export import check_export_options, export
-    from dpbench.cli.terminal import say
+    from dpbench.cli.terminal import print_wrapped
 
     check_export_options(vars(arguments))
     if arguments.all:
         from dpbench.bench.sequences.shipped import record_shipped_sequences
-        from dpbench.cli.terminal import Bar
+        from dpbench.cli.terminal import ProgressBar
 
-        with Bar(transient=True) as bar:
+        with ProgressBar(transient=True) as bar:
             text = record_shipped_sequences(arguments.out or "results/sequences", progress=bar)
     else:
-        text = export(**_given(arguments, "all"))
-    say(text.splitlines())
-    return 0
+        text = export(**_named_parameters(arguments, "all"))
+    print_wrapped(text.splitlines())
 
 
-def _worst_case(arguments: argparse.Namespace) -> int:
+def _find_worst_case(arguments: argparse.Namespace) -> int:
+    """Search for a solver's slowest or least accurate step (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
-    from dpbench.cli.terminal import Bar, say
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
 
-    with Bar() as bar:
-        worst_case = find_worst_case(**_given(arguments), progress=bar)
-    say(worst_case.lines)
+    with ProgressBar() as bar:
+        worst_case = find_worst_case(**_named_parameters(arguments), progress=bar)
+    print_wrapped(worst_case.lines)
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
-def _paper(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.terminal import Bar, say
+def _reproduce_paper(arguments: argparse.Namespace) -> int:
+    """Reproduce figures and claims of the paper (`dpbench paper`)."""
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
-    with Bar(transient=True) as bar:
+    with ProgressBar(transient=True) as bar:
         reproduction = reproduce_paper(arguments.out, progress=bar)
-    say(reproduction.lines)
+    print_wrapped(reproduction.lines)
     for line in reproduction.remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return 0 if reproduction.complete else 1
 
 
-def _list(arguments: argparse.Namespace) -> int:
+def _print_listing(arguments: argparse.Namespace) -> None:
+    """Print a table of all files or solvers of a kind (`dpbench list`)."""
     from dpbench.cli.listing import list_table
-    from dpbench.cli.terminal import console
+    from dpbench.cli.terminal import make_console
 
-    console().print(list_table(arguments.what))
-    return 0
+    make_console().print(list_table(arguments.what))
 
 
-def _init(arguments: argparse.Namespace) -> int:
+def _write_own_ship(arguments: argparse.Namespace) -> None:
+    """Write vessel, scenario and suite files of a new ship (`dpbench init`)."""
     from dpbench.cli.own_ship import write_own_ship
-    from dpbench.cli.terminal import say
+    from dpbench.cli.terminal import print_wrapped
 
-    say(write_own_ship(arguments))
-    return 0
+    print_wrapped(write_own_ship(arguments))
 
 
-def _capability(arguments: argparse.Namespace) -> int:
+def _print_capability(arguments: argparse.Namespace) -> None:
+    """Print the largest wind that a ship's thrusters hold (`dpbench capability`)."""
     from dpbench.cli.capability import capability_text
 
     print(capability_text(arguments))
-    return 0
 
 
-def _doctor(arguments: argparse.Namespace) -> int:
+def _print_machine_check(arguments: argparse.Namespace) -> None:
+    """Print facts about this machine and the harness (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
     print("\n".join(doctor_lines()))
-    return 0
 
 
-def _check(arguments: argparse.Namespace) -> int:
+def _check_named_file(arguments: argparse.Namespace) -> None:
+    """Check a file or stored name and print a description (`dpbench check`)."""
     from dpbench.cli.check import check_file
-    from dpbench.cli.terminal import Bar, say
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
 
-    with Bar(transient=True) as bar:
+    with ProgressBar(transient=True) as bar:
         text = check_file(arguments.file, bar)
-    say(text.splitlines())
-    return 0
+    print_wrapped(text.splitlines())
 
 
 _CALLS = {
-    "run": _run,
-    "cells": _cells,
-    "gather": _gather,
-    "report": _report,
-    "compare": _compare,
-    "export": _export,
-    "worst-case": _worst_case,
-    "paper": _paper,
-    "list": _list,
-    "check": _check,
-    "doctor": _doctor,
-    "completion": _completion,
-    "init": _init,
-    "capability": _capability,
+    "run": _run_suite,
+    "cells": _run_shard,
+    "gather": _gather_shards,
+    "report": _rewrite_report,
+    "compare": _compare_folders,
+    "export": _export_qps,
+    "worst-case": _find_worst_case,
+    "paper": _reproduce_paper,
+    "list": _print_listing,
+    "check": _check_named_file,
+    "doctor": _print_machine_check,
+    "completion": _print_completion,
+    "init": _write_own_ship,
+    "capability": _print_capability,
 }

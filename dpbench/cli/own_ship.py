@@ -11,6 +11,7 @@ import shlex
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,16 +40,16 @@ SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_acti
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """An option of the command line: its meaning, unit and range."""
+class OptionQuantity:
+    """A numeric option of `dpbench init`: meaning, unit and range."""
 
     what: str
     unit: str
     least: float
     most: float
 
-    def read(self, option: str, text: str | None) -> float | None:
-        """Parse its number, None for None; InputError for one out of range."""
+    def parse(self, option: str, text: str | None) -> float | None:
+        """Parse the option's text as a number; InputError outside the range, None for None."""
         if text is None:
             return None
         try:
@@ -61,18 +62,18 @@ class Quantity:
 
     @property
     def allowed(self) -> str:
-        """The range in words."""
+        """Allowed range with unit and meaning, as text."""
         return f"{self.least:g} to {self.most:g} {self.unit} ({self.what})"
 
 
 QUANTITIES = {
-    "length": Quantity("length between perpendiculars", "m", 10, 500),
-    "breadth": Quantity("breadth", "m", 2, 100),
-    "draught": Quantity("draught", "m", 0.5, 40),
-    "displacement": Quantity("displacement", "t", 10, 1e6),
-    "thrust": Quantity("largest force ahead", "kN", 1, 1e5),
-    "sway-thrust": Quantity("largest force sideways", "kN", 1, 1e5),
-    "yaw-moment": Quantity("largest turning moment", "kN·m", 1, 1e7),
+    "length": OptionQuantity("length between perpendiculars", "m", 10, 500),
+    "breadth": OptionQuantity("breadth", "m", 2, 100),
+    "draught": OptionQuantity("draught", "m", 0.5, 40),
+    "displacement": OptionQuantity("displacement", "t", 10, 1e6),
+    "thrust": OptionQuantity("largest force ahead", "kN", 1, 1e5),
+    "sway-thrust": OptionQuantity("largest force sideways", "kN", 1, 1e5),
+    "yaw-moment": OptionQuantity("largest turning moment", "kN·m", 1, 1e7),
 }
 PARTICULARS = ("length", "breadth", "draught", "displacement")
 _KEYS = {"displacement": "displacement_t"} | {
@@ -85,7 +86,7 @@ TO_WEIGHT = (5e-4, 0.2)
 
 
 def write_own_ship(options: argparse.Namespace) -> list[str]:
-    """Write the files of a ship; return lines for the screen.
+    """Write vessel, scenario and suite files of a new ship; return lines to print.
 
     Without any particulars, and with `NAME.toml` there, the ship stays as it is and only scenario
     and suite of another sea are written.
@@ -95,30 +96,30 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         raise InputError(WHERE, "NAME", repr(name)[:80], "1 to 60 of letters, digits, _ and -")
     vessel_file = folder / f"{name}.toml"
     numbers = {
-        option: quantity.read(option, getattr(options, option.replace("-", "_")))
+        option: quantity.parse(option, getattr(options, option.replace("-", "_")))
         for option, quantity in QUANTITIES.items()
     }
-    sea = _sea(options.sea)
+    sea = _parse_sea_number(options.sea)
     described = options.from_mss or options.from_csv or options.like or any(numbers.values())
     texts: dict[str, str] = {}
     remarks: list[str] = []
     if described or not os.path.isfile(vessel_file):
-        ship = _new_ship(options, numbers)
-        texts[vessel_file.name] = vessel_text(ship, _command(options))
-        vessel, remarks = ship.vessel, cautions(ship)
+        ship = _scale_new_ship(options, numbers)
+        texts[vessel_file.name] = vessel_text(ship, _restate_command(options))
+        vessel, remarks = ship.vessel, list_cautions(ship)
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
     number = scaling.largest_sea(vessel) if sea is None else sea
-    texts |= _sea_files(name, vessel, number, chosen=sea is None)
-    _write(folder, texts, force=options.force)
+    texts |= _render_sea_files(name, vessel, number, chosen=sea is None)
+    _write_new_files(folder, texts, force=options.force)
     return _summary_lines(folder, texts, vessel, number, remarks)
 
 
-def _sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
-    """Return scenario and suite of a sea by file name."""
+def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
+    """Return the texts of scenario and suite for a DP capability number, by file name."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     return {
@@ -127,23 +128,24 @@ def _sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[
     }
 
 
-def _sea(text: str | None) -> int | None:
+def _parse_sea_number(text: str | None) -> int | None:
+    """Parse the DP capability number of --sea, 1 to 9; InputError for another."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
     return None if text is None else int(text)
 
 
-def _new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """Make the ship that the options describe."""
+def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
+    """Make a ship from the options by scaling the nearest library vessel."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
     hull: Hull | None = None
     if hull_file := options.from_mss or options.from_csv:
         hull = read_mss(Path(hull_file)) if options.from_mss else read_table(Path(hull_file))
-    own = _particulars(numbers, hull)
-    thrust = _thrust(numbers, own)
+    own = _read_particulars(numbers, hull)
+    thrust = _read_thrust(numbers, own)
     if options.like is not None and options.like not in scaling.LIBRARY:
         raise InputError(
             WHERE,
@@ -158,14 +160,14 @@ def _new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> 
     return OwnShip(options.name, own, vessel, like, hull)
 
 
-def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
-    """Read the particulars from the options, then the file; InputError if neither has one."""
+def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
+    """Read length, breadth, draught and displacement from options or hull file."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
         value = numbers[option]
         if value is None and hull is not None and _KEYS[option] in hull.particulars:
-            value = quantity.read(option, f"{hull.particulars[_KEYS[option]]:.9g}")
+            value = quantity.parse(option, f"{hull.particulars[_KEYS[option]]:.9g}")
         if value is None:
             raise InputError(WHERE, f"--{option}", "nothing", quantity.allowed)
         values[option] = value
@@ -180,8 +182,8 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling
     return own
 
 
-def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.Thrust:
-    """Read the forces in N and N·m; InputError for one that no such ship has."""
+def _read_thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.Thrust:
+    """Convert the thrust options to N and N·m; InputError if implausible for this ship."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
@@ -202,8 +204,8 @@ def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scali
     return scaling.Thrust(1000.0 * ahead, sway, yaw)
 
 
-def _command(options: argparse.Namespace) -> str:
-    """Return the command line, as far as it describes the ship."""
+def _restate_command(options: argparse.Namespace) -> str:
+    """Return the `dpbench init` command line that describes this ship."""
     words = ["dpbench", "init", options.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
         value = getattr(options, option.replace("-", "_"))
@@ -212,8 +214,8 @@ def _command(options: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
-    """Write all files; SituationError where one of them exists already."""
+def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> None:
+    """Write text files into a folder; SituationError if one exists, unless `force`."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
             instead = "choose another name or folder (--out), or add --force to overwrite it"
@@ -226,7 +228,7 @@ def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
 def _summary_lines(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
-    """List the files written, the load of the sea on the ship, and the next commands."""
+    """List the files written, the weather load on the ship, and the next commands."""
     paths = [str(folder / name) for name in texts]
     share = scaling.load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
@@ -239,7 +241,7 @@ def _summary_lines(
 
 @dataclass(frozen=True, eq=False)
 class OwnShip:
-    """A new ship, scaled from the library vessel `like`; inertia and damping of `hull`, if any."""
+    """A ship scaled from a library vessel, with inertia and damping of a hull file if given."""
 
     name: str
     own: scaling.Particulars
@@ -249,7 +251,7 @@ class OwnShip:
 
 
 def vessel_text(ship: OwnShip, command: str) -> str:
-    """Return the vessel file; `command` wrote it."""
+    """Render the vessel file of a new ship; `command` is quoted in its comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
     added = np.diag(vessel.M) - scaling.rigid_body(ship.own)
@@ -258,25 +260,26 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         "own_vessel.toml",
         **vars(ship),
         command=command,
-        comment=_comment,
-        quoted=_quoted,
+        comment=_wrap_as_comment,
+        # TOML's escapes are those of JSON.
+        quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
-        forms=_forms(ship),
-        cautions=cautions(ship),
+        forms=_form_ratios(ship),
+        cautions=list_cautions(ship),
         added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
         ranges=list(zip(vessel.tau_min, vessel.tau_max, strict=True)),
     )
 
 
-def _comment(caller: Callable[[], str]) -> str:
-    """Wrap a paragraph of a template as comments of a file."""
+def _wrap_as_comment(caller: Callable[[], str]) -> str:
+    """Wrap a paragraph of a template as `#` comment lines."""
     text = " ".join(caller().split())
     lines = textwrap.wrap(text, COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _forms(ship: OwnShip) -> list[tuple[str, float, float]]:
-    """Return ratios that two ships of one form share: name, of this ship, of the library's."""
+def _form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
+    """Return hull form ratios L/B and L/∇^(1/3) of this ship and of the library vessel."""
     own, library = ship.own, scaling.LIBRARY[ship.like]
     volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
     slender = own.length_m / math.cbrt(volumes_m3[0]), library.length_m / math.cbrt(volumes_m3[1])
@@ -284,12 +287,12 @@ def _forms(ship: OwnShip) -> list[tuple[str, float, float]]:
     return [("L/B", *broad), ("L/volume^(1/3)", *slender)]
 
 
-def cautions(ship: OwnShip) -> list[str]:
-    """Return warnings about the numbers, as sentences."""
+def list_cautions(ship: OwnShip) -> list[str]:
+    """Return warning sentences about the hull file or an unusual hull form."""
     if ship.hull is not None:
         return ship.hull.remarks
     others = [
-        what for what, own, library in _forms(ship) if abs(own / library - 1.0) > FORM_DIFFERS
+        what for what, own, library in _form_ratios(ship) if abs(own / library - 1.0) > FORM_DIFFERS
     ]
     if not others:
         return []
@@ -297,30 +300,30 @@ def cautions(ship: OwnShip) -> list[str]:
     return [f"CAUTION: another form than that of {ship.like}: {' and '.join(others)} {differs}."]
 
 
-def sample_s(vessel: Vessel) -> float:
-    """Scale the paper's 0.3 s to this size, in steps of 0.05 s [s]."""
+def choose_sample_s(vessel: Vessel) -> float:
+    """Return the sample time [s]: the paper's 0.3 s scaled by Froude, in steps of 0.05 s."""
     slower = scaling.froude_time(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
 def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
-    """Return the scenario file; `chosen`: the program chose the sea."""
+    """Render the scenario file of a new ship; `chosen` if the program chose the sea."""
     longer = scaling.froude_time(vessel.length_m) ** 2
     wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
     return render_document(
         "own_scenario.toml",
-        comment=_comment,
+        comment=_wrap_as_comment,
         name=name,
         number=number,
         most=max(scaling.DP_NUMBERS),
-        why=_why_this_sea(scaling.load_share(vessel, number), chosen=chosen),
+        why=_explain_sea_choice(scaling.load_share(vessel, number), chosen=chosen),
         share=scaling.load_share(vessel, number),
         wind_mps=wind_mps,
         hs_m=hs_m,
         current_mps=current_mps,
         current_share=scaling.CURRENT_SHARE,
         from_deg=scaling.FROM_DEG,
-        step_s=sample_s(vessel),
+        step_s=choose_sample_s(vessel),
         steps=STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
         sea=scaling.sea_state(number),
@@ -329,7 +332,8 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
     )
 
 
-def _why_this_sea(share: float, *, chosen: bool) -> str:
+def _explain_sea_choice(share: float, *, chosen: bool) -> str:
+    """Return why this sea was chosen, as text for a comment."""
     if not chosen:
         return "as asked for"
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
@@ -339,7 +343,7 @@ def _why_this_sea(share: float, *, chosen: bool) -> str:
 
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
-    """Return the suite file, which compares solvers in that scenario."""
+    """Render the suite file that compares solvers in the new ship's scenario."""
     return render_document(
         "own_suite.toml",
         name=name,
@@ -347,10 +351,5 @@ def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
         number=number,
         solvers=json.dumps(SOLVERS),
         steps=STEPS,
-        step_s=sample_s(vessel),
+        step_s=choose_sample_s(vessel),
     )
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML string, whose escapes are those of JSON."""
-    return json.dumps(text, ensure_ascii=False)

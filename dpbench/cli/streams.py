@@ -21,12 +21,12 @@ _PLAIN = {
 
 
 def open_streams() -> None:
-    """Give this process a standard input, output and error, whatever it was started with.
+    """Reopen closed standard streams and make them accept characters of any encoding.
 
     A closed one leads nowhere, before a result file gets its number. A character that an encoding
     lacks is replaced by the nearest; a path that is no text keeps its bytes where that is possible.
     """
-    codecs.register_error(_ERRORS, _plain)
+    codecs.register_error(_ERRORS, _replace_unencodable)
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if not _is_open(number):
             os.open(os.devnull, os.O_RDWR)
@@ -39,6 +39,7 @@ def open_streams() -> None:
 
 
 def _is_open(number: int) -> bool:
+    """Return whether a file descriptor is open."""
     try:
         os.fstat(number)
     except OSError:
@@ -46,8 +47,8 @@ def _is_open(number: int) -> bool:
     return True
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
-    """Replace the characters that an encoding lacks by those it has."""
+def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
+    """Replace characters that an encoding lacks by similar ASCII ones."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]
@@ -64,7 +65,7 @@ def is_output_lost() -> bool:
 
 
 def flush_streams() -> None:
-    """Flush standard output and error, or drop their content: else Python prints a traceback."""
+    """Flush standard output and error; discard their content if they are closed."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -29,13 +29,13 @@ ENDING_STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan",
 _INDENT = 4 * " "
 
 
-def console() -> Console:
-    """Return standard output, as wide as a terminal is, 80 columns into a file or a pipe."""
+def make_console() -> Console:
+    """Return a console on standard output: terminal width, or 80 columns to a file or pipe."""
     return Console() if sys.stdout.isatty() else Console(width=WIDTH)
 
 
-def wrapped(text: str, *, first: str = "", others: str = "") -> str:
-    """Wrap a paragraph at 80 columns with these indents; a path or a key stays whole."""
+def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
+    """Wrap a paragraph at 80 columns with indents, without breaking long words."""
     return textwrap.fill(
         text,
         WIDTH,
@@ -46,32 +46,34 @@ def wrapped(text: str, *, first: str = "", others: str = "") -> str:
     )
 
 
-def say(lines: Iterable[str]) -> None:
-    """Print lines, each wrapped with a hanging indent of two columns."""
+def print_wrapped(lines: Iterable[str]) -> None:
+    """Print lines, wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
-        print(line if len(line) <= WIDTH else wrapped(line, others="  "))
+        print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
 
 
-def entry(head: str, paragraphs: Iterable[str]) -> str:
-    """Join a name with its description below, indented by four columns."""
-    return "\n".join([head, *(wrapped(p, first=_INDENT, others=_INDENT) for p in paragraphs)])
+def format_entry(head: str, paragraphs: Iterable[str]) -> str:
+    """Return a name with paragraphs below it, indented by four columns."""
+    return "\n".join(
+        [head, *(wrap_paragraph(p, first=_INDENT, others=_INDENT) for p in paragraphs)]
+    )
 
 
-def plain(text: str) -> Text:
-    """Make text without markup and colour, with its own line ends."""
+def unstyled_text(text: str) -> Text:
+    """Make a Rich text without markup, colour or wrapping."""
     return Text(text, no_wrap=True, overflow="ignore")
 
 
-def small_table(*columns: str) -> Table:
-    """Make an empty table whose first column is never broken."""
+def make_small_table(*columns: str) -> Table:
+    """Make an empty table with these columns, the first never broken."""
     table = Table(show_edge=False, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
     return table
 
 
-def report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """Make a table of the report with its note; row by row as text where it does not fit."""
+def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
+    """Make a terminal table of a report table; plain text if it is too wide."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -85,32 +87,33 @@ def report_table(table: ReportTable, screen: Console) -> RenderableType:
     for row in table.rows:
         shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
     unbroken = screen.measure(shown, options=screen.options.update_width(1000)).minimum
-    return shown if unbroken <= screen.width else _row_by_row(table)
+    return shown if unbroken <= screen.width else _format_rows_as_text(table)
 
 
-def _row_by_row(table: ReportTable) -> Text:
+def _format_rows_as_text(table: ReportTable) -> Text:
+    """Format a report table as text, one paragraph for each row."""
     named = table.text_columns
     rows = [
-        entry(
+        format_entry(
             ", ".join(row[:named]),
             ["; ".join(f"{h} {c}" for h, c in zip(table.heads[named:], row[named:], strict=True))],
         )
         for row in table.rows
     ]
-    text = plain("\n".join([table.title, *rows, wrapped(table.note)]))
+    text = unstyled_text("\n".join([table.title, *rows, wrap_paragraph(table.note)]))
     for word, style in STYLES.items():
         text.highlight_words([f" {word}"], style)
     return text
 
 
-def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
-    """Print the end of a run or report: rows of (head, text), as JSON, or the page alone."""
+def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
+    """Print the result lines of a run or report, as table, JSON or page path alone."""
     if arguments.json:
         print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
     elif arguments.quiet:
         print(page)
     else:
-        screen = console()
+        screen = make_console()
         screen.width = min(screen.width, WIDTH)
         table = Table.grid(padding=(0, 2))
         table.add_column(no_wrap=True)
@@ -122,8 +125,8 @@ def say_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Name
         webbrowser.open(page.resolve().as_uri())
 
 
-class Bar:
-    """A progress bar with the time left; a transient one leaves no line, a quiet one no trace."""
+class ProgressBar:
+    """A terminal progress bar with the time left, optionally transient or quiet."""
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -139,7 +142,7 @@ class Bar:
         )
         self._task = self._progress.add_task("starting", total=None)
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -147,23 +150,23 @@ class Bar:
             self._progress.stop()
 
     def start(self, work: int) -> None:
-        """Show the bar, with the amount of work; before, bad input ends without a bar."""
+        """Show the bar with the total amount of work."""
         self._progress.start()
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """Print a line above the bar, or on standard error without one, unless it is quiet."""
+        """Print a line above the bar, or on standard error without one, unless quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
     def waiting(self, text: str) -> None:
-        """Print a line on standard error, also where the bar is quiet."""
+        """Print a line on standard error, even if the bar is quiet."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:
-        """Add work that is done, the last of it on `what`."""
+        """Add finished work to the bar and show what it was."""
         self._progress.update(self._task, advance=work, description=what[:44])
 
 

@@ -22,7 +22,7 @@ _ALLOWED = "a .mat file of version 7 or older (in MATLAB: save -v7)"
 
 
 def read_structure(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
-    """Read the numbers of a structure of a MATLAB file.
+    """Read the numeric fields of a structure in an untrusted MATLAB file, in a child process.
 
     Returns
     -------

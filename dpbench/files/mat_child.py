@@ -15,13 +15,10 @@ TIME_S = 10
 
 
 def main(name: str) -> int:
-    """Write the numbers of the structure `name`.
-
-    Where there is no MATLAB file, exit with 1 and a line on stderr.
-    """
-    _limit(resource.RLIMIT_AS, MEMORY_BYTES)
-    _limit(resource.RLIMIT_CPU, TIME_S)
-    _limit(resource.RLIMIT_CORE, 0)
+    """Write numbers of a structure in the MATLAB file on stdin to stdout; return 1 if it fails."""
+    _lower_resource_limit(resource.RLIMIT_AS, MEMORY_BYTES)
+    _lower_resource_limit(resource.RLIMIT_CPU, TIME_S)
+    _lower_resource_limit(resource.RLIMIT_CORE, 0)
     import numpy as np
     import scipy.io
 
@@ -35,28 +32,28 @@ def main(name: str) -> int:
     arrays: dict[str, Any] = {"names": np.array(names, dtype="U63")}
     structure = content.get(name)
     if isinstance(structure, dict):
-        arrays |= {f"{name}.{key}": value for key, value in _numbers(structure).items()}
+        arrays |= {f"{name}.{key}": value for key, value in _collect_numbers(structure).items()}
     packed = io.BytesIO()
     np.savez(packed, **arrays)
     sys.stdout.buffer.write(packed.getvalue())
     return 0
 
 
-def _limit(kind: int, most: int) -> None:
-    """Lower a limit of this process; one that is lower already stays."""
+def _lower_resource_limit(kind: int, most: int) -> None:
+    """Lower a resource limit of this process, unless it is lower already."""
     _, highest = resource.getrlimit(kind)
     most = most if highest == resource.RLIM_INFINITY else min(most, highest)
     resource.setrlimit(kind, (most, highest))
 
 
-def _numbers(structure: dict[str, Any]) -> dict[str, Any]:
-    """Return each field as an array, with dotted names; empty where it holds no numbers."""
+def _collect_numbers(structure: dict[str, Any]) -> dict[str, Any]:
+    """Return numeric fields of a nested structure as arrays, by dotted name."""
     import numpy as np
 
     numbers: dict[str, Any] = {}
     for key, value in structure.items():
         if isinstance(value, dict):
-            numbers |= {f"{key}.{inner}": one for inner, one in _numbers(value).items()}
+            numbers |= {f"{key}.{inner}": one for inner, one in _collect_numbers(value).items()}
             continue
         array = np.asarray(value)
         numbers[key] = array if array.dtype.kind in "biuf" else np.zeros(0)

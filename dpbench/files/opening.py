@@ -36,7 +36,7 @@ def open_regular_file(
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open a file that others made, to read bytes.
+    """Open an untrusted file to read bytes, if it is regular and not too large.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def open_regular_file(
 def read_bytes(
     path: Path, what: str, *, most_bytes: int, error: type[InputError] = InputError
 ) -> bytes:
-    """Read the content of a file that others made; raises as `open_regular_file` does."""
+    """Read an untrusted regular file of at most `most_bytes`; `error` if it cannot be read."""
     with open_regular_file(path, what, most_bytes=most_bytes, error=error) as file:
         try:
             return file.read(most_bytes)
@@ -83,7 +83,7 @@ def read_bytes(
 def check_unpacked(
     path: Path, unpacked: int, size: int, *, error: type[InputError] = InputError
 ) -> None:
-    """Refuse a file of `size` bytes that unpacks to far more than an honest one does."""
+    """Raise `error` if a compressed file unpacks to far more bytes than its size allows."""
     most = FREE_BYTES + MOST_RATIO * size
     if unpacked > most:
         found = f"{size} bytes that unpack to {unpacked}"

@@ -31,7 +31,7 @@ _FOOTER_SPEC: Spec = {_NUM_ROWS: int, _GROUPS: [_GROUP_SPEC]}
 
 
 class Field(NamedTuple):
-    """A field of a struct: where it and its value begin and end, its type, its decoded value."""
+    """A field of a Thrift struct: byte positions, type and decoded value."""
 
     head: int
     begin: int
@@ -46,7 +46,7 @@ Struct = dict[int, Field]
 
 @dataclass(frozen=True, eq=False)
 class Footer:
-    """The footer of a Parquet file, and what was decoded of it."""
+    """Bytes and decoded fields of a Parquet file's footer."""
 
     data: bytes
     fields: Struct
@@ -58,18 +58,18 @@ class Footer:
 
     @property
     def groups(self) -> list[tuple[int, Struct, int]]:
-        """Where the description of each row group begins, its fields, and where it ends."""
+        """Row groups: first byte, fields and end of the description of each."""
         groups: list[tuple[int, Struct, int]] = self.fields[_GROUPS].value
         return groups
 
-    def raw(self, number: int) -> bytes:
-        """Return the bytes of the value of a field."""
+    def raw_value(self, number: int) -> bytes:
+        """Return the undecoded bytes of a footer field."""
         field = self.fields[number]
         return self.data[field.begin : field.end]
 
 
 def read_footer(file: BinaryIO) -> Footer:
-    """Return the footer of a Parquet file; ValueError, KeyError or IndexError where it has none."""
+    """Read the footer of a Parquet file; ValueError, KeyError or IndexError if damaged."""
     end = file.seek(0, 2)
     file.seek(max(0, end - 8))
     tail = file.read(8)
@@ -82,7 +82,7 @@ def read_footer(file: BinaryIO) -> Footer:
 
 
 def _decode_number(data: bytes, at: int) -> tuple[int, int]:
-    """Decode an unsigned number; return it, and where it ends."""
+    """Decode an unsigned varint; return it and the position after it."""
     result = shift = 0
     while (byte := data[at]) > 0x7F:
         result |= (byte & 0x7F) << shift
@@ -91,12 +91,13 @@ def _decode_number(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _decode_signed(data: bytes, at: int) -> tuple[int, int]:
+    """Decode a zigzag varint; return it and the position after it."""
     number, at = _decode_number(data, at)
     return (number >> 1) ^ -(number & 1), at
 
 
 def _decode_list_head(data: bytes, at: int) -> tuple[int, int, int]:
-    """Decode the head of a list; return its size, the type of its items, and where they begin."""
+    """Decode a Thrift list header: size, item type and position of the first item."""
     size, kind = data[at] >> 4, data[at] & 15
     if size < 15:
         return size, kind, at + 1
@@ -104,8 +105,8 @@ def _decode_list_head(data: bytes, at: int) -> tuple[int, int, int]:
     return size, kind, at
 
 
-def _find_end(data: bytes, at: int, kind: int) -> int:
-    """Return where a value ends."""
+def _find_value_end(data: bytes, at: int, kind: int) -> int:
+    """Return the position after a Thrift value, without decoding it."""
     if kind in _INTEGERS:
         while data[at] > 0x7F:
             at += 1
@@ -116,12 +117,12 @@ def _find_end(data: bytes, at: int, kind: int) -> int:
     if kind == _LIST:
         size, inner, at = _decode_list_head(data, at)
         for _ in range(size):
-            at = at + 1 if inner in (_TRUE, _FALSE) else _find_end(data, at, inner)
+            at = at + 1 if inner in (_TRUE, _FALSE) else _find_value_end(data, at, inner)
         return at
     if kind == _STRUCT:
         while head := data[at]:
             at = at + 1 if head >> 4 else _decode_number(data, at + 1)[1]
-            at = _find_end(data, at, head & 15)
+            at = _find_value_end(data, at, head & 15)
         return at + 1
     # A flag that is a field of its own has its value in its type.
     sizes = {_TRUE: 0, _FALSE: 0, _BYTE: 1, _DOUBLE: 8}
@@ -129,7 +130,7 @@ def _find_end(data: bytes, at: int, kind: int) -> int:
 
 
 def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
-    """Find the fields of a struct, and decode those of `spec`; return them, and where it ends."""
+    """Decode the fields of a Thrift struct that `spec` names; return them and the end."""
     fields: Struct = {}
     number = 0
     while byte := data[at]:
@@ -138,7 +139,7 @@ def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
         kind, begin, inner = byte & 15, at, spec.get(number)
         value: Any = None
         if inner is None:
-            at = _find_end(data, at, kind)
+            at = _find_value_end(data, at, kind)
         elif kind in _INTEGERS and inner is int:
             value, at = _decode_signed(data, at)
         elif kind == _STRUCT and isinstance(inner, dict):
@@ -152,7 +153,7 @@ def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
 
 
 def _decode_structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
-    """Find the structs of a list, each with where it begins and ends."""
+    """Decode a list of Thrift structs; return each with its position, and the end."""
     size, kind, at = _decode_list_head(data, at)
     if size and kind != _STRUCT:
         raise ValueError("a footer with a list of other things")
@@ -165,7 +166,7 @@ def _decode_structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, S
 
 
 def _encode_number(number: int) -> bytes:
-    """Encode an unsigned number."""
+    """Encode an unsigned varint."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -175,11 +176,12 @@ def _encode_number(number: int) -> bytes:
 
 
 def _encode_signed(number: int) -> bytes:
+    """Encode an integer as a zigzag varint."""
     return _encode_number((number << 1) ^ (number >> 63))
 
 
 def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
-    """Return the description of a row group whose bytes are elsewhere."""
+    """Return a row group's description with all file offsets moved by `by` bytes."""
     begin, fields, end = group
     changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
     for _, chunk, _ in fields[_COLUMNS].value:
@@ -199,7 +201,7 @@ def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> byte
 
 
 def _byte_range(group: Struct) -> tuple[int, int]:
-    """Return the first byte of a row group and the one behind its last."""
+    """Return the first byte of a row group and the one after its last."""
     first, end = 2**63, 0
     for _, chunk, _ in group[_COLUMNS].value:
         if _ELSEWHERE & chunk.keys():
@@ -211,7 +213,7 @@ def _byte_range(group: Struct) -> tuple[int, int]:
 
 
 class RowGroupWriter:
-    """Writes a Parquet file of row groups of others, all of one schema.
+    """Writer of one Parquet file from row groups copied from others of the same schema.
 
     Attributes
     ----------
@@ -223,22 +225,25 @@ class RowGroupWriter:
         self._footer: Footer | None = None
         self._groups: list[bytes] = []
         self.rows = 0
-        self._write(MAGIC)
+        self._append_bytes(MAGIC)
 
-    def _write(self, data: bytes) -> None:
+    def _append_bytes(self, data: bytes) -> None:
+        """Write bytes to the file; update checksum and position."""
         self._file.write(data)
         self.crc32 = zlib.crc32(data, self.crc32)
         self._at += len(data)
 
     def copy(self, source: BinaryIO, footer: Footer, index: int) -> None:
-        """Copy a row group of another file, with its footer.
+        """Copy a row group of another Parquet file without decoding it.
 
         Raises
         ------
         ValueError, KeyError, IndexError : the footer is damaged or of another schema, or the row
             group needs bytes outside of it; the file is as it was then.
         """
-        if self._footer is not None and footer.raw(_SCHEMA) != self._footer.raw(_SCHEMA):
+        if self._footer is not None and footer.raw_value(_SCHEMA) != self._footer.raw_value(
+            _SCHEMA
+        ):
             raise ValueError("a row group of another schema")
         group = footer.groups[index]
         rows = group[1][_GROUP_ROWS].value
@@ -254,19 +259,14 @@ class RowGroupWriter:
             block = source.read(min(_BLOCK, end - first))
             if not block:
                 raise ValueError("a file that became shorter")
-            self._write(block)
+            self._append_bytes(block)
             first += len(block)
         self._footer = self._footer or footer
         self._groups.append(moved)
         self.rows += rows
 
     def close(self, empty: Footer) -> None:
-        """Write the footer; nothing the second time.
-
-        Parameters
-        ----------
-        empty : the footer of a file without rows, in case there is no row group.
-        """
+        """Write the footer, that of `empty` if no row was copied, and close the file."""
         if self._file.closed:
             return
         footer, size = self._footer or empty, len(self._groups)
@@ -275,9 +275,9 @@ class RowGroupWriter:
         out, last = [], 0
         for number, field in footer.fields.items():
             if number != _METADATA:
-                value = values.get(number, footer.raw(number))
+                value = values.get(number, footer.raw_value(number))
                 out += [bytes([(number - last) << 4 | field.kind]), value]
                 last = number
         data = b"".join([*out, b"\0"])
-        self._write(data + len(data).to_bytes(4, "little") + MAGIC)
+        self._append_bytes(data + len(data).to_bytes(4, "little") + MAGIC)
         self._file.close()

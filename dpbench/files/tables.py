@@ -35,7 +35,7 @@ _IS_ALLOWED = (
 
 @contextmanager
 def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
-    """Open a table of numbers and words; its words are read as dictionaries.
+    """Open an untrusted Parquet table of numbers and texts, with its unpacked size bounded.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[
 
 
 def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
-    """Return the bytes of all values in memory, each word once."""
+    """Return the size of a table in memory [bytes], each distinct text counted once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
@@ -69,7 +69,7 @@ def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
 
 
 def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
-    """Decode the table, so that each row has its own text; raises as `open_table` does."""
+    """Convert dictionary columns to plain texts; `error` if they take too much memory."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
     check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():
@@ -79,7 +79,7 @@ def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = Input
 
 
 def _word_bytes(column: pa.ChunkedArray) -> int:
-    """Return the bytes of the words of a column, each as often as it occurs."""
+    """Return the bytes of a column's texts, each as often as it occurs."""
     total = 0
     for chunk in column.chunks:
         lengths = pc.binary_length(chunk.dictionary).fill_null(0).to_numpy()

@@ -18,18 +18,13 @@ _MOST_LIST_BYTES = 2**20
 
 
 def is_file_name(text: str) -> bool:
-    """Whether a text names a file in the very folder it is put into."""
+    """Return whether a text is a printable file name without folder or leading dot."""
     plain = text.isprintable() and not {"/", "\\"} & set(text) and not text.startswith(".")
     return plain and 0 < len(text.encode()) <= MOST_NAME_BYTES
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder where there is none.
-
-    Raises
-    ------
-    InputError : a link stands in its place.
-    """
+    """Make a folder unless it exists; InputError if a link has its name."""
     if path.is_symlink():
         raise InputError(str(path), "", "a link", "a folder: nothing is written through a link")
     path.mkdir(exist_ok=True)
@@ -37,7 +32,7 @@ def make_folder(path: Path) -> Path:
 
 
 def new_file(path: Path) -> Path:
-    """Make an empty regular file in place of whatever file or link has its name."""
+    """Make an empty regular file, replacing a file or link of that name."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(path, flags, 0o666))
@@ -46,7 +41,7 @@ def new_file(path: Path) -> Path:
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Provide a new file that replaces `path` when the block ends, whole or not at all."""
+    """Yield a new file that replaces `path` when the block ends, or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -56,13 +51,13 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 
 def replace_durably(part: Path, path: Path) -> None:
-    """Give a written file its name, so that both survive a power failure from then on."""
-    sync(part)
+    """Rename a written file to its final name, so that it survives a power failure."""
+    sync_to_disk(part)
     part.replace(path)
-    sync(path.parent)
+    sync_to_disk(path.parent)
 
 
-def sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
     """Wait until a file or folder is on the disk."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -72,18 +67,18 @@ def sync(path: Path) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write bytes to a file, completely or not at all."""
     with replace_file(path) as part:
         part.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in UTF-8, whole or not at all; what has no place there becomes `?`."""
+    """Write text to a file in UTF-8, completely or not at all; lone surrogates become `?`."""
     write_bytes(path, text.encode(errors="replace"))
 
 
 def write_named_file(path: Path, content: bytes) -> None:
-    """Write a file that a person named, which may be a device or a pipe too."""
+    """Write bytes to a file that the user named, which may be a device or a pipe."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)
     else:
@@ -91,40 +86,33 @@ def write_named_file(path: Path, content: bytes) -> None:
 
 
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
-    """Write the files of a folder anew, and remove those of an earlier time that are none now.
+    """Write all files of a folder, and remove files that an earlier call wrote.
 
-    A list beside the folder, `list_path` it, has their names: no other file is removed.
-
-    Parameters
-    ----------
-    contents : by the name of each file, what makes its bytes.
-
-    Raises
-    ------
-    InputError : the folder is a link, or a name is none of a file in it.
+    `contents` makes the bytes of each file by name; `file_list_path` records the names;
+    no other file is removed. InputError: the folder is a link, or a name is none of a file in it.
     """
     for name in contents:
         if not is_file_name(name):
             raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
-    earlier, now = _read_list(make_folder(folder)), set(contents)
+    earlier, now = _read_file_list(make_folder(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
-    _write_list(folder, earlier | now)
+    _write_file_list(folder, earlier | now)
     for name in earlier - now:
         if stat.S_ISREG((folder / name).lstat().st_mode):
             (folder / name).unlink()
     for name, content in contents.items():
         write_bytes(folder / name, content())
-    _write_list(folder, now)
+    _write_file_list(folder, now)
 
 
-def list_path(folder: Path) -> Path:
-    """Return the file with the names of what `write_together` wrote into a folder."""
+def file_list_path(folder: Path) -> Path:
+    """Return the path of the file that lists what `write_together` wrote into a folder."""
     return folder.with_name(f".{folder.name}.json")
 
 
-def _read_list(folder: Path) -> set[str]:
-    """Return the files written earlier that are there; anybody may have changed their list."""
-    path = list_path(folder)
+def _read_file_list(folder: Path) -> set[str]:
+    """Return the names of existing files that `write_together` wrote into a folder."""
+    path = file_list_path(folder)
     try:
         state = path.lstat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MOST_LIST_BYTES:
@@ -137,5 +125,6 @@ def _read_list(folder: Path) -> set[str]:
     return {name for name in known if os.path.lexists(folder / name)}
 
 
-def _write_list(folder: Path, names: set[str]) -> None:
-    write_text(list_path(folder), json.dumps(sorted(names), indent=1) + "\n")
+def _write_file_list(folder: Path, names: set[str]) -> None:
+    """Write the list of files that `write_together` has written into a folder."""
+    write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

@@ -10,20 +10,23 @@ from dpbench.scenario.scenario import Scenario
 
 
 class JudgedRun(Protocol):
-    """The fields of `runs.Run` that figures need."""
+    """Protocol of a run whose figures can be drawn: label, steps and scenario."""
 
     @property
-    def label(self) -> str: ...  # noqa: D102
+    def label(self) -> str:
+        """Name of solver and call mode in a figure."""
 
     @property
-    def steps(self) -> pd.DataFrame: ...  # noqa: D102
+    def steps(self) -> pd.DataFrame:
+        """Table with one row per step, columns of steps.parquet."""
 
     @property
-    def scenario(self) -> Scenario | None: ...  # noqa: D102
+    def scenario(self) -> Scenario | None:
+        """Scenario of a closed loop; None of a replay."""
 
 
 class RunPlots:
-    """The figures of one run; each is an Altair chart, which a notebook draws.
+    """Figures of one judged run, as Altair charts.
 
     `run.plot.ship(other)` draws other runs of the same scenario into the same figure. A chart has
     `save` for PNG, SVG, PDF and HTML.
@@ -41,7 +44,9 @@ class RunPlots:
         from dpbench.report.charts.steps import draw_step_strips
 
         run = self._run
-        return draw_step_strips(_steps_of(run.steps), _forces_of(run), Requirements().error_move)
+        return draw_step_strips(
+            _make_step_rows(run.steps), _compute_force_shares(run), Requirements().error_move
+        )
 
     def ship(self, *others: JudgedRun) -> Any:
         """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
@@ -50,16 +55,18 @@ class RunPlots:
         """
         from dpbench.report.charts.ship import draw_path
 
-        return draw_path(_laws((self._run, *others)), self._scenario(others))
+        return draw_path(_convert_to_laws((self._run, *others)), self._common_scenario(others))
 
     def errors(self, *others: JudgedRun) -> Any:
-        """Draw north, east, heading and radial error (Fig. 5 of the paper), as `ship`."""
+        """Draw north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
         from dpbench.report.charts.ship import draw_pose_errors
 
-        return draw_pose_errors(_laws((self._run, *others)), self._scenario(others))
+        return draw_pose_errors(
+            _convert_to_laws((self._run, *others)), self._common_scenario(others)
+        )
 
-    def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """Return the scenario of all runs; InputError for a replay and for different ones."""
+    def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
+        """Return the scenario of all runs; InputError if they differ or one is a replay."""
         scenario = self._run.scenario
         for run in (self._run, *others):
             if run.scenario is None or scenario is None:
@@ -71,8 +78,8 @@ class RunPlots:
         return scenario
 
 
-def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """Convert the runs to laws of a figure, numbered where names are equal."""
+def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
+    """Convert runs to control laws of a figure; number those with equal names."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
@@ -83,8 +90,8 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
     return [Law(label, run.steps) for label, run in zip(labels, runs, strict=True)]
 
 
-def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """Make the rows of `draw_step_strips`, one per step; times in µs, the largest of a replay."""
+def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
+    """Return time [µs], error, iterations and active limits of each step, for a figure."""
     from dpbench.analysis.records.run_steps import counting_rows, run_steps
     from dpbench.report.charts.steps import NO_ANSWER
 
@@ -102,8 +109,8 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _forces_of(run: JudgedRun) -> pd.DataFrame:
-    """Return the forces of a closed loop as shares of their limits; no rows for a replay."""
+def _compute_force_shares(run: JudgedRun) -> pd.DataFrame:
+    """Return forces of a closed loop as shares of their limits; no rows for a replay."""
     from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 

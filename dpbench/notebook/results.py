@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(result_folder.Results):
-    """A result folder: its tables `runs` and `steps`, `machine`, `suite`, and those of the report.
+    """A result folder in memory: runs, steps, machine, suite, and the tables of the report.
 
     The report's are made at first use, and are what `dpbench report` writes into `tables/`.
     """
@@ -32,17 +32,17 @@ class Results(result_folder.Results):
 
     @property
     def answer(self) -> str:
-        """The answer of the page: the recommended configuration, or the question of the suite."""
-        rows = self._report.summary_rows()
+        """Sentence that names the recommended configuration, or the question of the suite."""
+        rows = self._full_report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the analysis by name: those below, runs, experiments, and the topics'."""
-        return self._report.tables
+        """All tables of the report, by name."""
+        return self._full_report.tables
 
     def verdict(self) -> pd.DataFrame:
-        """Judge each configuration: a row with its verdict, the reason and its figures.
+        """Return the verdict on each configuration, with its reason and figures.
 
         Times in µs; error_move and failed_steps over all its runs.
         """
@@ -53,14 +53,14 @@ class Results(result_folder.Results):
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """Return the best configuration of each solver that was timed, with its step times [µs].
+        """Return the best configuration of each timed solver, with its step times [µs].
 
         `share` is what calling a library that does nothing takes of its median.
         """
         return self.tables["ladder"]
 
     def paired_ratios(self) -> pd.DataFrame:
-        """Return the ratios of step times to those of the fastest, on the same steps.
+        """Return step time ratios to the fastest configuration, on the same steps.
 
         `low` and `high` bound the mean ratio, 0 and inf where the steps are too few to tell;
         `tied` where they include 1; `unstable` where another yardstick names another leader.
@@ -73,15 +73,18 @@ class Results(result_folder.Results):
         return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
 
     def _repr_html_(self) -> str:
-        """Return the answer, and the best configuration of each solver, as HTML."""
+        """Return recommendation and best configuration of each solver, as HTML."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(self._report.data, best_verdict_by_solver(self._report.data.verdicts))
+        rows = solver_rows(
+            self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
+        )
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 
     @cached_property
-    def _report(self) -> Report:
+    def _full_report(self) -> Report:
+        """Report of this folder, built at first use."""
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
@@ -90,7 +93,7 @@ class Results(result_folder.Results):
 
 
 def load_results(out: str | Path) -> Results:
-    """Read a result folder, for its tables and the verdict on it.
+    """Read a result folder into memory.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ REMEMBERED = "times of remembered answers: steps seen before are faster than war
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A judged run.
+    """A judged run of one solver: table of steps, summary row and scenario.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Solver and call mode."""
+        """Solver, route and policy, as text."""
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property
@@ -76,40 +76,45 @@ class Run:
 
     @property
     def plot(self) -> RunPlots:
-        """The figures of the page: `steps()`, and of a closed loop `ship()` and `errors()`."""
+        """Figures of the run: `steps()`, and of a closed loop `ship()` and `errors()`."""
         return RunPlots(self)
 
     def __repr__(self) -> str:
         row = self.summary
         return (
-            f"<Run of {self.label}: {self._where}, {self._done}, "
+            f"<Run of {self.label}: {self._sequence_text}, {self._steps_text}, "
             f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}"
             f"{f', {REMEMBERED}' if self.remembers else ''}>"
         )
 
     def _repr_html_(self) -> str:
+        """Return the run's main figures as an HTML table."""
         row = self.summary
         fields = {
-            "steps": self._done,
+            "steps": self._steps_text,
             "failed steps": count_text(row["failed_steps"]),
             "largest error of the first move": error_text(row["error_move_max"]),
             "median of the step time": time_text(row["raw_p50_ns"]),
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
-        return fields_html(f"{self.label}: {self._where}", fields | self._control())
+        return fields_html(
+            f"{self.label}: {self._sequence_text}", fields | self._describe_control()
+        )
 
     @property
-    def _where(self) -> str:
+    def _sequence_text(self) -> str:
+        """Mode and name of the scenario or sequence, as text."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
-    def _done(self) -> str:
+    def _steps_text(self) -> str:
+        """Number of steps done of those planned, as text."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
-    def _control(self) -> dict[str, str]:
-        """Describe the run of a ship, by the names of fields."""
+    def _describe_control(self) -> dict[str, str]:
+        """Return control errors and fallbacks of a closed loop, as text by field name."""
         if self.scenario is None:
             return {}
         row = self.summary
@@ -134,7 +139,7 @@ def run_closed_loop(
     deadline_s: float = 0.0,
     steps: int | None = None,
 ) -> Run:
-    """Let `workspace` steer the ship through `scenario`, and judge every answer.
+    """Run a closed loop of ship and MPC with `workspace` as its solver; judge every answer.
 
     Parameters
     ----------
@@ -149,11 +154,11 @@ def run_closed_loop(
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
         none, or a slow-down, deadline or number of steps that cannot be.
     """
-    _check("fallback", fallback, FALLBACKS)
+    _check_choice("fallback", fallback, FALLBACKS)
     _check_workspace(workspace, formulation)
     if steps is not None:
         scenario = scenario.first(steps)
-    cell = _cell_of(
+    cell = _make_cell(
         workspace,
         mode="closed_loop",
         scenario=scenario.files,
@@ -168,7 +173,7 @@ def run_closed_loop(
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     closed_loop(setup)
     evaluated = evaluate_log(cell, setup.log, solve_exactly(scenario))
-    return _run(cell, workspace, setup.solver, evaluated, scenario)
+    return _make_run(cell, workspace, setup.solver, evaluated, scenario)
 
 
 def replay(
@@ -179,7 +184,7 @@ def replay(
     warmup_steps: int = 50,
     formulation: Formulation = "condensed_box",
 ) -> Run:
-    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged.
+    """Solve `sequence` with `workspace`: a warm-up, then `repeats` rounds; judge every answer.
 
     Raises
     ------
@@ -194,7 +199,7 @@ def replay(
         steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
     )
     replaying.run_all_rounds()
-    cell = _cell_of(
+    cell = _make_cell(
         workspace,
         mode="replay",
         scenario={"name": sequence.name},
@@ -205,33 +210,36 @@ def replay(
         warmup_steps=warmup_steps,
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
+    return _make_run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
 
 
-def _check(key: str, value: str, allowed: Collection[str]) -> None:
+def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
+    """Raise InputError unless a value is one of those allowed."""
     if value not in allowed:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
 def _check_workspace(workspace: object, formulation: str) -> None:
-    _check("formulation", formulation, FORMULATIONS)
+    """Raise InputError for an unknown formulation, or a workspace of another type."""
+    _check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(workspace, Workspace):
         raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")
 
 
-def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
-    """Make the cell of a run of a workspace, whose settings have no name."""
+def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
+    """Make the cell record of a run in this process, with unnamed settings."""
     route, policy = workspace.route, workspace.policy
     return Cell(solver=workspace.solver, route=route, policy=policy, settings="", **fields)
 
 
-def _run(
+def _make_run(
     cell: Cell,
     workspace: Workspace,
     timed_solver: TimedSolver,
     evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
+    """Compute step and summary rows of an evaluated run."""
     steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)

@@ -1,6 +1,6 @@
 """The adapter of one library, on route native and on route qpsolvers.
 
-A module of `libraries/` that holds an adapter is found by `adapters_in`: to write the file is to
+A module of `libraries/` that holds an adapter is found by `find_adapters`: to write the file is to
 register the solver.
 """
 
@@ -24,7 +24,7 @@ OpenWorkspace = Callable[[SolverRecord, Policy, Options], Workspace]
 
 @dataclass(frozen=True)
 class NativeAdapter:
-    """One library through its own interface.
+    """A solver library called through its own Python interface: record, constructor, options.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class NativeAdapter:
 
 
 class ClaimedStatus(NamedTuple):
-    """A library's report about its answer; -1 and "" where it reports nothing."""
+    """Status, iterations and time [ns] that a library reports; -1 and "" for none."""
 
     status: Status
     iterations: int = -1
@@ -58,7 +58,7 @@ NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not 
 
 
 def read_found(answer: Any, options: Options) -> Claim:
-    """Read the status of a library of which qpsolvers passes on `found` and nothing else."""
+    """Read a status of solved or unknown from `found` of a `qpsolvers.Solution`."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
@@ -66,7 +66,7 @@ InfoReader = Callable[[Any, float, Options], Claim]
 """Reads a claim from a library's `info`, the solve time in its own unit, and the options."""
 
 
-def info_reader(
+def make_info_reader(
     statuses: Mapping[Any, Status],
     unit_ns: float,
     *,
@@ -74,7 +74,7 @@ def info_reader(
     number: Callable[[Any], int] | None = None,
     on_request: bool = False,
 ) -> InfoReader:
-    """Make the reader of an `info` with `status`, `iter` and times.
+    """Make a function that reads status, iterations and time from a library's info object.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ def info_reader(
     return read_info
 
 
-def status_reader(read_info: InfoReader) -> ReadStatus:
-    """Make the `read_status` of a library whose run time includes its set-up."""
+def make_status_reader(read_info: InfoReader) -> ReadStatus:
+    """Make a function that reads the status from the `info` of a `qpsolvers.Solution`."""
 
     def read_status(answer: Any, options: Options) -> Claim:
         info = answer.extras["info"]
@@ -103,7 +103,7 @@ def status_reader(read_info: InfoReader) -> ReadStatus:
 
 @dataclass(frozen=True)
 class QpsolversAdapter:
-    """One library behind qpsolvers.
+    """A solver library called through qpsolvers: record, status reader, option names.
 
     Parameters
     ----------
@@ -133,37 +133,37 @@ class QpsolversAdapter:
 
     @property
     def qpsolvers_key(self) -> str:
-        """Its name in qpsolvers."""
+        """The name under which qpsolvers lists the solver."""
         return self.qpsolvers_name or self.record.name
 
     def make_native(self, workspace: OpenWorkspace) -> NativeAdapter:
-        """Return the adapter of the library's own interface, with the same settings."""
+        """Return the adapter of the library's own interface, with its record and options."""
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
-    def claimed_status(self, answer: Any, options: Options) -> Claim:
-        """Read the claim of a `qpsolvers.Solution`."""
+    def read_claimed_status(self, answer: Any, options: Options) -> Claim:
+        """Read the status, iterations and time that a `qpsolvers.Solution` reports."""
         if answer.extras:
             return self.read_status(answer, options)
         # qpsolvers itself answers problems without constraints for some libraries.
         return ClaimedStatus(Status.SOLVED) if answer.found else self.not_found
 
 
-def attributes(settings: Any) -> list[str]:
-    """List the settings of an object that has them as attributes."""
+def list_attributes(settings: Any) -> list[str]:
+    """List the public, non-callable attributes of a settings object, except `verbose`."""
     names = (name for name in dir(settings) if not name.startswith("_"))
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 
 
-def keywords(module: str, name: str, *besides: str) -> list[str]:
-    """List the keywords of a function or class of a library, but for some."""
+def list_keywords(module: str, name: str, *besides: str) -> list[str]:
+    """List the keyword parameters of a library's function or class, except those in `besides`."""
     function = attrgetter(name)(import_module(module))
     return [key for key in signature(function).parameters if key not in besides]
 
 
-def adapters_in(
+def find_adapters(
     package: str, besides: Iterable[str]
 ) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
-    """Return the adapters in the modules of a package, by solver: native ones and wrapped ones.
+    """Import all modules of a package; return its native and its qpsolvers adapters by solver.
 
     Parameters
     ----------

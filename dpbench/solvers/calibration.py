@@ -31,7 +31,8 @@ _steady_ns: Callable[[], int] = (
 )
 
 
-def _record(name: str, method: str) -> SolverRecord:
+def _make_record(name: str, method: str) -> SolverRecord:
+    """Make the solver record of a calibration workload: route native, policy reuse, no settings."""
     return SolverRecord(
         name=name,
         family="harness",
@@ -54,67 +55,67 @@ def _record(name: str, method: str) -> SolverRecord:
 
 
 CALIBRATION: dict[str, SolverRecord] = {
-    NO_OP: _record(NO_OP, "none: every method returns at once"),
-    COPY_ONLY: _record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
-    **{n: _record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
+    NO_OP: _make_record(NO_OP, "none: every method returns at once"),
+    COPY_ONLY: _make_record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
+    **{n: _make_record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
 """By name, in the order of display; none is a solver of the table."""
 
 
-class NoOp(Workspace):
-    """A workspace whose methods do nothing; the answer is one stored object without a number."""
+class NoOpWorkspace(Workspace):
+    """A workspace that does nothing and returns one stored empty answer, to time the harness."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._answer: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store an empty answer."""
+        """Store an empty answer of the problem's size."""
         self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
-        """Nothing."""
+        """Do nothing with the new vectors."""
 
     def solve(self) -> None:
-        """Nothing."""
+        """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """Return the stored object."""
+        """Return the stored empty answer."""
         if self._answer is None:
             raise missing_setup_error("read")
         return self._answer
 
 
-class BusyWait(NoOp):
-    """A workspace that waits `wait_ns` by `clock` [ns] in `solve`, without yielding the core."""
+class BusyWaitWorkspace(NoOpWorkspace):
+    """A workspace whose `solve` waits `wait_ns` [ns] on a clock without yielding the core."""
 
     def __init__(self, solver: str, wait_ns: int, clock: Callable[[], int] = _steady_ns) -> None:
         super().__init__(solver)
         self._wait_ns, self._clock = wait_ns, clock
 
     def solve(self) -> None:
-        """Read the clock until the time is over."""
+        """Read the clock until `wait_ns` have passed."""
         clock = self._clock
         over = clock() + self._wait_ns
         while clock() < over:
             pass
 
 
-class CopyOnly(Workspace):
-    """A workspace with the copies that the contract requires, and nothing else."""
+class CopyOnlyWorkspace(Workspace):
+    """A workspace that copies vectors in and an empty answer out, without solving."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._size: tuple[int, int] | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Allocate buffers for the vectors and the answer."""
+        """Allocate buffers for q, l, u and the answer."""
         self._size = qp.n, qp.m
         self.q, self.l, self.u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         self._z, self._y = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
 
     def update(self, step: QPStep) -> None:
-        """Check the shapes and copy q, l, u."""
+        """Check the shapes of q, l, u and copy them."""
         if self._size is None:
             raise missing_setup_error("update")
         check_step(step, *self._size)
@@ -123,17 +124,17 @@ class CopyOnly(Workspace):
         self.u[:] = step.u
 
     def solve(self) -> None:
-        """Nothing."""
+        """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """Copy an empty answer."""
+        """Return a copy of an empty answer."""
         if self._size is None:
             raise missing_setup_error("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
 def open_calibration(name: str) -> Workspace:
-    """Open the workspace of one of `CALIBRATION`."""
+    """Open a calibration workload by name: no_op, copy_only or busy_wait_<t>us."""
     if name in WAITS_NS:
-        return BusyWait(name, WAITS_NS[name])
-    return NoOp(name) if name == NO_OP else CopyOnly(name)
+        return BusyWaitWorkspace(name, WAITS_NS[name])
+    return NoOpWorkspace(name) if name == NO_OP else CopyOnlyWorkspace(name)

@@ -31,7 +31,7 @@ Form = Literal["dense", "csc"]
 
 
 class Workspace(ABC):
-    """One solver with its data, for a sequence of QPs of one shape.
+    """Interface of every solver: set-up, update, solve, read, for QPs of one shape.
 
     Attributes
     ----------
@@ -52,32 +52,29 @@ class Workspace(ABC):
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:
-        """Prepare `qp`, including its vectors: `solve` right after it solves `qp`."""
+        """Prepare the whole problem `qp`, so that the next `solve` solves it."""
 
     @abstractmethod
     def update(self, step: QPStep) -> None:
-        """Take over what `step` changes; raises ShapeError on arrays of another shape."""
+        """Take over the vectors and matrices that `step` changes; ShapeError on wrong shapes."""
 
     @abstractmethod
     def solve(self) -> None:
-        """Solve the current problem; never raises for a failure of the library."""
+        """Solve the current problem; a failure of the library becomes a status, no exception."""
 
     @abstractmethod
     def read(self) -> Solution:
-        """Return the answer, in memory of its own."""
+        """Return the answer with status and multipliers, in new memory."""
 
     def another(self) -> Workspace:
-        """Open a second workspace of the same kind, not yet set up, for a cascade of two QPs.
-
-        SituationError if this one was not made by `open_workspace`.
-        """
+        """Open a second workspace with equal settings; SituationError unless opened by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
         return self.reopen()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
-        """Forget every earlier answer; called after a step that was not solved."""
+        """Discard earlier answers and warm-start data, after a step that was not solved."""
 
 
 def check_step(step: QPStep, n: int, m: int) -> None:
@@ -94,17 +91,14 @@ def check_step(step: QPStep, n: int, m: int) -> None:
 
 
 def describe_exception(error: BaseException) -> str:
-    """Describe an exception of a library; raise an interrupt again.
-
-    It takes any BaseException: a panic of Rust is no `Exception`.
-    """
+    """Return class and message of a library's exception or panic; re-raise an interrupt."""
     if isinstance(error, (KeyboardInterrupt, SystemExit)):
         raise error
     return f"{type(error).__name__}: {error}"
 
 
 def missing_setup_error(call: str) -> DpbenchError:
-    """Return the error of a workspace that is used before its set-up."""
+    """Return the error for calling a workspace method before `setup`."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 
 

@@ -11,7 +11,7 @@ Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
 
 class FunctionWorkspace(Workspace):
-    """A workspace around `solve(qp, **options) -> Solution`; an exception becomes an ERROR."""
+    """A workspace around a Python function that solves one QP; its exception becomes ERROR."""
 
     def __init__(self, name: str, policy: Policy, solve: Solve, options: Options) -> None:
         super().__init__(name, "native", policy)
@@ -21,11 +21,11 @@ class FunctionWorkspace(Workspace):
         self._solution: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem."""
+        """Store a copy of the problem."""
         self._qp, self._solution = qp.copy(), None
 
     def update(self, step: QPStep) -> None:
-        """Copy the problem with what `step` changes."""
+        """Store a copy of the problem with the arrays that `step` changes."""
         if self._qp is None:
             raise missing_setup_error("update")
         check_step(step, self._qp.n, self._qp.m)
@@ -33,7 +33,7 @@ class FunctionWorkspace(Workspace):
         self.setup(self._qp.at(step))
 
     def solve(self) -> None:
-        """Call the function."""
+        """Call the function on the problem; store its answer or its exception."""
         assert self._qp is not None, "setup comes first"
         try:
             answer = self._function(self._qp, **self._options)
@@ -44,13 +44,13 @@ class FunctionWorkspace(Workspace):
         except MemoryError:
             raise
         except Exception as error:
-            self._solution = self._missing(f"{type(error).__name__}: {error}")
+            self._solution = self._make_error_solution(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
-        """Return the function's answer, copied."""
+        """Return a copy of the function's answer."""
         answer = self._solution
         if answer is None:
-            return self._missing("read before solve")
+            return self._make_error_solution("read before solve")
         try:
             z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
         except AttributeError:
@@ -61,13 +61,14 @@ class FunctionWorkspace(Workspace):
             answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )
 
-    def _missing(self, detail: str) -> Solution:
+    def _make_error_solution(self, detail: str) -> Solution:
+        """Return an answer without numbers, of status ERROR, with this detail."""
         assert self._qp is not None, "setup comes first"
         return Solution.missing(self._qp.n, self._qp.m, Status.ERROR, detail)
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """Make the `open` of a plug-in that is a function."""
+    """Make the `open(policy, options)` function of a plug-in from a function that solves one QP."""
 
     def open_function(policy: Policy, options: Options) -> Workspace:
         return FunctionWorkspace(name, policy, solve, options)

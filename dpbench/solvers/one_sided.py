@@ -18,8 +18,8 @@ from dpbench.solvers.contract import Form
 Box = Literal["native", "rows"]
 
 
-class Sides:
-    """Indices of the equalities, upper and lower sides among the limits of a block of rows."""
+class LimitSides:
+    """Indices of equalities, finite upper limits and finite lower limits of a block of rows."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -28,20 +28,20 @@ class Sides:
         self.upper: Indices = np.flatnonzero(~equal & (high != np.inf))
         self.lower: Indices = np.flatnonzero(~equal & (low != -np.inf))
         self.full = self.upper.size == self.lower.size == self.size
-        self._pattern = self.pattern(low, high)
+        self._pattern = self.encode_pattern(low, high)
 
     @staticmethod
-    def pattern(low: Vector, high: Vector) -> bytes:
-        """Return bytes that are equal for limits with the same equal and infinite entries."""
+    def encode_pattern(low: Vector, high: Vector) -> bytes:
+        """Return bytes that encode which limits are equal and which are infinite."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
-    def same(self, low: Vector, high: Vector) -> bool:
-        """Return whether these limits have the same equal and infinite entries."""
-        return self.pattern(low, high) == self._pattern
+    def has_same_pattern(self, low: Vector, high: Vector) -> bool:
+        """Return whether the same limits are equal or infinite as at construction."""
+        return self.encode_pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
-        """Write the limits into `h` (upper, then lower sides) and `b`."""
+        """Write upper and negated lower limits into `h`, and limits of equalities into `b`."""
         if self.full:
             h[: self.size] = high
             np.negative(low, out=h[self.size :])
@@ -52,18 +52,18 @@ class Sides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the inequality and the equality rows of this block of rows M."""
+        """Return the one-sided inequality rows and the equality rows of the row block M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
-    def split(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """Split two-sided multipliers y into those of inequality and of equality rows."""
+    def split_multipliers(self, y: Vector, z: Vector, y_equal: Vector) -> None:
+        """Split two-sided multipliers y into z ≥ 0 of inequality rows and y of equality rows."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
-    def multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Return two-sided multipliers from z of the inequality and y of the equality rows."""
+    def merge_multipliers(self, z: Vector, y: Vector) -> Vector:
+        """Merge multipliers z of inequality and y of equality rows into two-sided ones."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -75,7 +75,7 @@ class Sides:
 
 
 class OneSidedForm:
-    """Constant matrices in a library's form, and buffers for its vectors.
+    """A two-sided QP as G z ≤ h, A z = b, with constant matrices and buffers for q, h, b.
 
     Parameters
     ----------
@@ -86,15 +86,15 @@ class OneSidedForm:
 
     def __init__(self, qp: QuadraticProgram, form: Form, box: Box) -> None:
         self._m, self._n = qp.m, qp.n
-        self._sides = Sides(qp.l, qp.u)
+        self._sides = LimitSides(qp.l, qp.u)
         G, A = self._sides.rows(qp.A)
         self._rows, self._equalities = G.shape[0], A.shape[0]
-        self._box: Sides | None = None
+        self._box: LimitSides | None = None
         bounded = bool(np.isfinite(qp.lb).any() or np.isfinite(qp.ub).any())
         self.lb = qp.lb.copy() if bounded and box == "native" else None
         self.ub = qp.ub.copy() if bounded and box == "native" else None
         if box == "rows":
-            self._box = Sides(qp.lb, qp.ub)
+            self._box = LimitSides(qp.lb, qp.ub)
             G_box, A_box = self._box.rows(np.eye(qp.n))
             G, A = np.vstack([G, G_box]), np.vstack([A, A_box])
         # One array [b; h] for a library that stacks equalities on inequalities.
@@ -110,46 +110,48 @@ class OneSidedForm:
         self.A: Any = convert(A) if b.size else None
         self.h, self.b = h if h.size else None, b if b.size else None
 
-    def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Return whether limits of the rows have the pattern this form was built for."""
-        return self._sides.same(l, u)
+    def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        """Return whether the same row limits are equal or infinite as in the original problem."""
+        return self._sides.has_same_pattern(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
-        """Take over the vectors of a step."""
+        """Write q and the row limits l, u of a step into the buffers q, h and b."""
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """Return y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
+        """Convert multipliers of G and A into two-sided y (m,) and y_box (n,); box "rows" only."""
         assert self._box is not None, "bounds have to be rows"
-        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
-        return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
+        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
+        return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
 
-    def split(self, y: Vector, y_box: Vector, dual: Vector) -> None:
-        """Write two-sided multipliers into `dual`, ordered as `bh`; for box "rows"."""
+    def split_multipliers(self, y: Vector, y_box: Vector, dual: Vector) -> None:
+        """Write two-sided multipliers into `dual`, equalities first; box "rows" only."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
-        self._sides.split(y, z[: self._rows], equal[: self._equalities])
+        self._sides.split_multipliers(y, z[: self._rows], equal[: self._equalities])
         if self._box is not None:
-            self._box.split(y_box, z[self._rows :], equal[self._equalities :])
+            self._box.split_multipliers(y_box, z[self._rows :], equal[self._equalities :])
 
-    def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
-        """Return y (m,) and y_box (n,) of a `qpsolvers.Solution`; None if they are absent."""
-        z = _vector(z, 0 if self.h is None else self.h.size)
-        y = _vector(y, 0 if self.b is None else self.b.size)
+    def convert_qpsolvers_multipliers(
+        self, z: Any, y: Any, z_box: Any
+    ) -> tuple[Vector, Vector] | None:
+        """Convert multipliers of qpsolvers into y (m,) and y_box (n,); None if absent."""
+        z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
+        y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
             return None
         if self._box is not None:
             return self.two_sided(z, y)
-        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
-        bounds = _vector(z_box, 0 if self.lb is None else self._n)
+        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
+        bounds = _as_vector_of_size(z_box, 0 if self.lb is None else self._n)
         if bounds is None:
             return None
         return rows, bounds.copy() if bounds.size else np.zeros(self._n)
 
 
-def _vector(value: Any, size: int) -> Vector | None:
-    """Return `value` as a float64 vector of a size; None if it is not one."""
+def _as_vector_of_size(value: Any, size: int) -> Vector | None:
+    """Return `value` as a float64 vector of this size; None if it has another size."""
     if size == 0:
         return np.empty(0)
     if value is None:

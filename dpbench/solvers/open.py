@@ -6,7 +6,7 @@ from functools import partial
 from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
-from dpbench.solvers.settings import resolve
+from dpbench.solvers.settings import resolve_options
 from dpbench.solvers.table import check_available, find_record, native_adapter, qpsolvers_adapter
 
 
@@ -18,7 +18,7 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """Open a workspace of `solver`, not yet set up.
+    """Open a workspace of a solver by name, not yet set up.
 
     Parameters
     ----------
@@ -52,15 +52,16 @@ def _make_workspace(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
+    """Resolve the settings, import the library and make a workspace; SettingsError if invalid."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None
     limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":
         native = native_adapter(solver)
-        return native.workspace(row, policy, {**limits, **resolve(settings, native)})
+        return native.workspace(row, policy, {**limits, **resolve_options(settings, native)})
     adapter = qpsolvers_adapter(solver)
-    options = {**limits, **resolve(settings, adapter)}
+    options = {**limits, **resolve_options(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
     # qpsolvers imports every library it finds, so it is imported only when needed.
@@ -72,6 +73,7 @@ def _make_workspace(
 
 
 def _check_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
+    """Raise PolicyError, with the reason, if the solver does not offer this route and policy."""
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))

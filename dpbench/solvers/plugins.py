@@ -62,7 +62,7 @@ os._exit(0)
 
 @dataclass(frozen=True)
 class Plugin:
-    """A solver of a third party; `version` is that of its distribution, or a digest of its file."""
+    """A third-party solver: adapter, version or file digest, and where it was loaded from."""
 
     adapter: NativeAdapter
     version: str
@@ -70,7 +70,7 @@ class Plugin:
 
     @property
     def record(self) -> SolverRecord:
-        """Its row in the table."""
+        """Record of the solver: name, method, abilities."""
         return self.adapter.record
 
 
@@ -92,7 +92,7 @@ def solver_record(
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """Make the record of a plug-in.
+    """Make the record of a plug-in solver that has route native only.
 
     Parameters
     ----------
@@ -117,26 +117,16 @@ def solver_record(
 
 
 def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
-    """Load the plug-in in a Python file, again if need be; `taken` are names it must not have.
-
-    Raises
-    ------
-    InputError : the file is missing, fails when run, or is no plug-in.
-    """
-    where, file = _plugin_file(path)
-    module = _run_file(where, file)
+    """Load the plug-in of a Python file; InputError if it fails or has a name in `taken`."""
+    where, file = _check_file_exists(path)
+    module = _import_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
-    return _register(where, module, version, str(file), taken).record
+    return _register_plugin(where, module, version, str(file), taken).record
 
 
 def try_file(path: str | Path) -> None:
-    """Run a plug-in's file in a process of its own; exceptions are left to `load_file`.
-
-    Raises
-    ------
-    InputError : the file is missing, or its process crashed or did not end.
-    """
-    where, file = _plugin_file(path)
+    """Run a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
+    where, file = _check_file_exists(path)
     command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
     null = subprocess.DEVNULL
     process = subprocess.Popen(
@@ -144,7 +134,9 @@ def try_file(path: str | Path) -> None:
     )
     try:
         output, _ = process.communicate(timeout=TRIAL_S)
-        found = "" if output.endswith(_RAN) else _describe_end(process.returncode)
+        code = process.returncode
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        found = "" if output.endswith(_RAN) else f"an end of its process, {how}"
     except subprocess.TimeoutExpired:
         found = f"an import that takes more than {TRIAL_S:g} s"
     finally:
@@ -157,27 +149,22 @@ def try_file(path: str | Path) -> None:
         raise InputError(where, "", found, "a file that runs")
 
 
-def _describe_end(code: int) -> str:
-    how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-    return f"an end of its process, {how}"
-
-
 def run_quietly(where: str, file: str) -> None:
-    """Run a plug-in's file in the process of `try_file`, whatever it raises."""
+    """Import a plug-in's file and ignore all its exceptions, inside a trial process."""
     with suppress(InputError):
-        _run_file(where, Path(file))
+        _import_file(where, Path(file))
 
 
-def _plugin_file(path: str | Path) -> tuple[str, Path]:
-    """Return the name of a plug-in's file in errors, and its full path; InputError if missing."""
+def _check_file_exists(path: str | Path) -> tuple[str, Path]:
+    """Return a plug-in file's label for errors and its full path; InputError if missing."""
     where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
         raise InputError(where, "", "no such file", "a Python file with RECORD and open")
     return where, file
 
 
-def _run_file(where: str, file: Path) -> ModuleType:
-    """Run a file and return its module; InputError for any exception."""
+def _import_file(where: str, file: Path) -> ModuleType:
+    """Execute a Python file as a new module; turn any exception into an InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -195,29 +182,24 @@ def _run_file(where: str, file: Path) -> ModuleType:
 
 
 def _describe_raised(error: BaseException) -> str:
-    """Describe an exception on one line."""
+    """Return class and message of an exception, on one line of limited length."""
     text = " ".join(str(error).split())[:300]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def entry_point_names() -> tuple[str, ...]:
-    """List the solvers of installed distributions, not yet loaded."""
+    """List the names of plug-in solvers of installed distributions, without loading them."""
     return tuple(sorted(_entry_points()))
 
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points by name."""
+    """Return the entry points of installed plug-in solvers, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
 def find_plugin(name: str) -> Plugin | None:
-    """Find the plug-in of that name, load its entry point if need be; None if there is none.
-
-    Raises
-    ------
-    InputError : its entry point fails to load, or is no plug-in.
-    """
+    """Return a plug-in by name, None if there is none; InputError if it fails to load."""
     if name in _LOADED:
         return _LOADED[name]
     point = _entry_points().get(name)
@@ -231,20 +213,21 @@ def find_plugin(name: str) -> Plugin | None:
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
         raise InputError(where, "", _describe_raised(error), "an object that loads") from error
     version = point.dist.version if point.dist is not None else ""
-    plugin = _register(where, module, version, point.value)
+    plugin = _register_plugin(where, module, version, point.value)
     if plugin.record.name != name:
         raise InputError(where, "RECORD.name", repr(plugin.record.name), repr(name))
     return plugin
 
 
 def loaded_names() -> tuple[str, ...]:
-    """List the plug-ins loaded in this process."""
+    """List the names of plug-in solvers loaded in this process."""
     return tuple(sorted(_LOADED))
 
 
-def _register(
+def _register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
+    """Check a plug-in's RECORD and open(), and add it to the loaded plug-ins."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
@@ -260,20 +243,22 @@ def _register(
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native alone")
     if record.family not in get_args(Family):
         raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
-    row = replace(record, extra="plugin", levels=_levels_of(where, module, record))
-    plugin = Plugin(NativeAdapter(row, _checked_opener(opener), None), version, origin)
+    row = replace(record, extra="plugin", levels=_read_levels(where, module, record))
+    plugin = Plugin(NativeAdapter(row, _wrap_opener(opener), None), version, origin)
     _LOADED[row.name] = plugin
     return plugin
 
 
-def _levels_of(where: str, module: Any, record: SolverRecord) -> Levels:
-    """Return its tolerance levels, also by their old name."""
+def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
+    """Return a plug-in's tolerance presets: LEVELS, its old name LADDER, or those of its record."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 
-def _checked_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
+def _wrap_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
+    """Wrap a plug-in's open() so that a result that is not a Workspace raises InputError."""
+
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)
         if not isinstance(workspace, Workspace):

@@ -53,7 +53,7 @@ LEVELS = (DEFAULT, *TOLERANCES)
 
 
 def by_tolerance(*criteria: str, always: Options | None = None, **constant: object) -> Levels:
-    """Make the levels of a solver.
+    """Make a solver's presets default, low, mid and high from its tolerance options.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def by_tolerance(*criteria: str, always: Options | None = None, **constant: obje
 
 @dataclass(frozen=True)
 class Build:
-    """How the installed library was built, as read from it.
+    """How a library was compiled: its instruction set, and whether that is the generic one.
 
     Parameters
     ----------
@@ -88,18 +88,13 @@ BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
 
 
 def vectorised_build(module: str) -> Build:
-    """Read the build that an imported library chose; it is never less than the processor has.
-
-    Parameters
-    ----------
-    module : the name of its compiled modules, without the instruction set.
-    """
+    """Return the instruction set of the loaded build of `module`, named without its suffix."""
     built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
     return Build(next(built, ""))
 
 
 def unknown_build() -> Build:
-    """Return the build of a library that nothing can be read from."""
+    """Return an empty build, for a library that does not state how it was compiled."""
     return UNKNOWN_BUILD
 
 
@@ -108,7 +103,7 @@ UNKNOWN_FACT = "not stated", ""
 
 @dataclass(frozen=True)
 class Fact:
-    """A statement and its source in the project; no source, no statement."""
+    """A fact about a solver's project and its source, such as a licence and the file stating it."""
 
     value: str
     source: str
@@ -116,7 +111,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class CSettings:
-    """The type of a C structure with the options as fields, and the function that fills one."""
+    """Name of a solver's C settings structure and of the C function that fills its defaults."""
 
     struct: str
     defaults: str
@@ -125,7 +120,7 @@ class CSettings:
 
 @dataclass(frozen=True)
 class Project:
-    """Facts for the author of a controller, from the solver's own documentation.
+    """Facts for deployment: licence, language, C code, memory allocation, single precision.
 
     Parameters
     ----------
@@ -153,7 +148,7 @@ def project_facts(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """Make a `Project` of pairs of value and source; None where the project has no statement."""
+    """Make a `Project` from pairs (value, source); None where the project states nothing."""
     facts = (licence, language, c_code, allocation_free, single_precision)
     return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 
@@ -163,7 +158,7 @@ NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 
 @dataclass(frozen=True)
 class RouteRecord:
-    """The abilities of a solver on one route.
+    """Abilities of a solver on one route: policies, updates, warm start, certificates, faults.
 
     Parameters
     ----------
@@ -192,7 +187,7 @@ class RouteRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """One row of the table of solvers.
+    """All facts about one solver: method, package, routes, presets, project.
 
     Parameters
     ----------
@@ -226,23 +221,23 @@ class SolverRecord:
 
     @property
     def default_route(self) -> Route:
-        """The first route."""
+        """Route used when none is requested: the first one."""
         return next(iter(self.routes))
 
     @property
     def policies(self) -> dict[Route, tuple[Policy, ...]]:
-        """The policies of each route."""
+        """Policies that the solver offers, by route."""
         return {route: can.policies for route, can in self.routes.items()}
 
     @property
     def remedy(self) -> str:
-        """The command that installs it."""
+        """Command that installs the solver."""
         # Not through an extra of dpbench: the package index knows another project by that name.
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
     def deployment_blocker(self) -> str:
-        """The reason why it cannot be deployed on a ship as it is; "" where it can.
+        """Reason why the solver cannot be deployed on a ship; "" if it can.
 
         Compiled code whose language the project documents is deployable.
         """
@@ -254,11 +249,11 @@ class SolverRecord:
         return f"written in {language.value}" if language.value.startswith("Python") else ""
 
     def on(self, route: Route) -> RouteRecord:
-        """Return its abilities on a route; KeyError on one it does not have."""
+        """Return the solver's abilities on a route; KeyError if it does not have it."""
         return self.routes[route]
 
     def refusal(self, route: Route, policy: Policy) -> str:
-        """Return why a route it has does not run a policy; "" where it does."""
+        """Return why a route does not offer a policy; "" if it does."""
         can = self.routes[route]
         if policy in can.policies:
             return ""

@@ -8,45 +8,39 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from dpbench.errors import SettingsError, list_allowed
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
 from dpbench.solvers.table import find_record
 
 
 def has_tolerance_levels(solver: str) -> bool:
-    """Return whether the tolerance levels of a solver differ."""
+    """Return whether the presets low, mid and high change any option of a solver."""
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
 
-def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
-    """Return the options of `settings` for a library.
-
-    Raises
-    ------
-    SettingsError : for an unknown name or key, or a value that the library's settings object
-        refuses.
-    """
+def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
+    """Return the options of a settings name or mapping; SettingsError if they are invalid."""
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
     target = None if adapter.make_settings is None else adapter.make_settings()
     if adapter.list_options is not None:
-        check_names(name, settings, adapter.list_options())
+        check_option_names(name, settings, adapter.list_options())
     elif target is not None:
-        check_names(name, settings, attributes(target))
+        check_option_names(name, settings, list_attributes(target))
     if target is not None:
         _check_values(name, settings, target)
     return {**adapter.record.levels.get(DEFAULT, {}), **settings}
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """List the names of settings of a solver: the tolerance levels and its own."""
+    """List the names of a solver's settings: default, low, mid, high and its own."""
     return tuple(dict.fromkeys((*LEVELS, *find_record(solver).levels)))
 
 
 def parse_tolerance(name: str) -> float | None:
-    """Parse the tolerance of a setting such as "1e-4"; None for other names."""
+    """Parse a settings name such as "1e-4" as a tolerance in (0, 1); None for other names."""
     try:
         tolerance = float(name)
     except ValueError:
@@ -55,12 +49,12 @@ def parse_tolerance(name: str) -> float | None:
 
 
 def has_setting(solver: str, name: str) -> bool:
-    """Return whether a solver has settings of that name, a tolerance such as "1e-4" included."""
+    """Return whether a solver accepts a settings name, which may be a tolerance such as "1e-4"."""
     return name in setting_names(solver) or _options_at_tolerance(solver, name) is not None
 
 
 def _options_at_tolerance(solver: str, name: str) -> Options | None:
-    """Return the options of a tolerance, between the levels or beyond them; None for other names.
+    """Return the options of a settings name that is a number; None for other names.
 
     Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
     `mid`.
@@ -76,7 +70,7 @@ def _options_at_tolerance(solver: str, name: str) -> Options | None:
 
 
 def level_options(name: str, solver: str) -> Options:
-    """Return the options of a setting by name for a solver; SettingsError if there is none."""
+    """Return the options of a solver's settings name; SettingsError if there is none."""
     names, options = setting_names(solver), _options_at_tolerance(solver, name)
     if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
@@ -85,7 +79,7 @@ def level_options(name: str, solver: str) -> Options:
 
 
 def describe_levels(solver: str) -> str:
-    """Return one line per name of its settings, with the options that it sets."""
+    """Return one line for each settings name of a solver, with the options it sets."""
     lines = []
     for name in setting_names(solver):
         text = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
@@ -95,11 +89,8 @@ def describe_levels(solver: str) -> str:
     return "\n".join(lines)
 
 
-def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
-    """Raise SettingsError for the first key that is not allowed, with the nearest allowed ones.
-
-    Several libraries behind qpsolvers ignore unknown keys.
-    """
+def check_option_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
+    """Raise SettingsError for the first unknown option key, which some libraries ignore."""
     known = sorted(allowed)
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
@@ -110,6 +101,7 @@ def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[s
 
 
 def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> None:
+    """Set the options on a settings object; SettingsError for a value that it refuses."""
     for key, value in settings.items():
         try:
             setattr(target, key, value)

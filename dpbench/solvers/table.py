@@ -51,7 +51,7 @@ OTHER_LIBRARIES = (
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a solver can be used here; `reason` is why not and the command that installs it."""
+    """Whether a solver is installed here: version, build, or the reason why it is missing."""
 
     ok: bool
     version: str = ""
@@ -60,38 +60,32 @@ class Availability:
 
     @property
     def identity(self) -> str:
-        """Version and build, which times depend on."""
+        """Version and build of the library, as one text."""
         return f"{self.version} {self.build.text}".strip()
 
 
 def solver_names() -> tuple[str, ...]:
-    """List the solvers of the table, installed or not, and the plug-ins, in alphabetical order."""
+    """List all solvers, installed or not, and all plug-ins, in alphabetical order."""
     return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
 
 
 def find_record(name: str) -> SolverRecord:
-    """Look up a solver: of the table, a calibration workload, a plug-in, or one of qpsolvers alone.
-
-    Raises
-    ------
-    UnknownNameError : there is no such solver.
-    InputError : it is a plug-in that fails to load.
-    """
+    """Look up a solver, calibration workload or plug-in; UnknownNameError if there is none."""
     row = TABLE.get(name) or CALIBRATION.get(name)
     if row is not None:
         return row
     plugin = plugins.find_plugin(name)
     if plugin is not None:
         return plugin.record
-    if _is_served(name):
-        return _generic_adapter(name).record
+    if _is_served_by_qpsolvers(name):
+        return _make_generic_adapter(name).record
     raise UnknownNameError(
         "solver", "", repr(name), list_allowed(name, solver_names(), listing=LISTING)
     )
 
 
 def native_adapter(name: str) -> NativeAdapter:
-    """Return the adapter of a solver with route native, a plug-in's too; KeyError for another."""
+    """Return a solver's adapter on route native, also of a plug-in; KeyError if it has none."""
     if name in CALIBRATION:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
@@ -101,16 +95,17 @@ def native_adapter(name: str) -> NativeAdapter:
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """Return the adapter of a solver on route qpsolvers."""
-    return THROUGH_QPSOLVERS.get(name) or _generic_adapter(name)
+    """Return a solver's adapter on route qpsolvers; a generic one if it is not in the table."""
+    return THROUGH_QPSOLVERS.get(name) or _make_generic_adapter(name)
 
 
 def _find_plugin(name: str) -> plugins.Plugin | None:
+    """Return the plug-in of a name that the table does not have; None if there is none."""
     return None if name in TABLE else plugins.find_plugin(name)
 
 
-def _is_served(name: str) -> bool:
-    """Return whether qpsolvers has a solver of that name; without importing qpsolvers."""
+def _is_served_by_qpsolvers(name: str) -> bool:
+    """Return whether qpsolvers has a solver of this name, without importing it."""
     loaded = sys.modules.get("qpsolvers")
     if loaded is not None and name in loaded.available_solvers:
         return True
@@ -119,11 +114,8 @@ def _is_served(name: str) -> bool:
     return name.isidentifier() and PathFinder.find_spec(f"{name}_", folders) is not None
 
 
-def _generic_adapter(name: str) -> QpsolversAdapter:
-    """Make the adapter of a solver that only qpsolvers has; it checks no settings.
-
-    Its matrices stay dense and its bounds bounds, as qpsolvers takes them.
-    """
+def _make_generic_adapter(name: str) -> QpsolversAdapter:
+    """Make an adapter, without settings checks, for a solver that only qpsolvers has."""
     can = RouteRecord(
         ("fresh",),
         detects_infeasibility=False,
@@ -145,7 +137,7 @@ def _generic_adapter(name: str) -> QpsolversAdapter:
 
 
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
-    """Load a plug-in from a Python file, so that this process has a solver of its name.
+    """Load a solver plug-in from a Python file into this process; return its record.
 
     Parameters
     ----------
@@ -162,26 +154,23 @@ def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord
 
 # Parsing takes 2 ms, and a suite calls this thousands of times.
 @cache
-def _version(distribution: str) -> str:
+def _installed_version(distribution: str) -> str:
+    """Return the installed version of a distribution; PackageNotFoundError if it is missing."""
     return metadata.version(distribution)
 
 
 def check_availability(name: str, *, imported: bool = True) -> Availability:
-    """Return whether the library of a solver is installed and can be imported.
-
-    A library is not available whatever error it raises while it is imported. Without importing it
-    (`imported=False`) its build is not read.
-    """
+    """Return whether a solver's library is installed and, if `imported`, can be imported."""
     row = find_record(name)
     if row.extra == "own":
-        return Availability(True, _version("dpbench"))
+        return Availability(True, _installed_version("dpbench"))
     if row.extra == "qpsolvers":
-        return _available_in_qpsolvers(name)
+        return _check_qpsolvers_availability(name)
     plugin = _find_plugin(name)
     if plugin is not None:
         return Availability(True, plugin.version)
     try:
-        version = _version(row.distribution)
+        version = _installed_version(row.distribution)
     except metadata.PackageNotFoundError:
         return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
     if not imported:
@@ -199,27 +188,28 @@ def check_availability(name: str, *, imported: bool = True) -> Availability:
 
 
 def check_available(name: str) -> None:
-    """Raise SolverUnavailableError, with the remedy, where a solver cannot be used."""
+    """Raise SolverUnavailableError, with the install command, if a solver cannot be used."""
     here, remedy = check_availability(name), find_record(name).remedy
     if not here.ok:
         advice = "" if remedy in here.reason else f"; {remedy}"
         raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
 
 
-def _available_in_qpsolvers(name: str) -> Availability:
+def _check_qpsolvers_availability(name: str) -> Availability:
+    """Return whether qpsolvers finds a solver library that is not in the table."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
     if name not in served:
         return Availability(False, "", f"qpsolvers does not find it: pip install qpsolvers[{name}]")
     try:
-        return Availability(True, _version(name))
+        return Availability(True, _installed_version(name))
     except metadata.PackageNotFoundError:
-        return Availability(True, f"qpsolvers {_version('qpsolvers')}")
+        return Availability(True, f"qpsolvers {_installed_version('qpsolvers')}")
 
 
 class HiddenModules(MetaPathFinder):
-    """Modules that cannot be imported.
+    """An import finder that makes the named modules fail to import.
 
     None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
     """
@@ -228,13 +218,13 @@ class HiddenModules(MetaPathFinder):
         self._names = frozenset(names)
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        """Raise ModuleNotFoundError for a hidden module; leave others to the next finder."""
+        """Raise ModuleNotFoundError for a hidden module; return None for others."""
         if fullname in self._names:
             raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
 
 
 def isolate(*solvers: str) -> None:
-    """Hide every solver library but those of `solvers` from this process, for good.
+    """Block imports of all solver libraries except those of `solvers`, for this whole process.
 
     `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
     threads and lets one library's OpenMP or BLAS settings act on another's.

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
-from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
+from dpbench.cli.terminal import WIDTH, ProgressBar, format_entry, make_report_table, print_wrapped
 from dpbench.report.table import Table
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
@@ -131,9 +131,9 @@ def wide_table(words: int) -> Table:
 def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:
     """Whole words, no cell cut: each with its head."""
     screen = Console(width=WIDTH)
-    screen.print(report_table(wide_table(4), screen))
+    screen.print(make_report_table(wide_table(4), screen))
     assert "┃" in capsys.readouterr().out
-    screen.print(report_table(wide_table(12), screen))
+    screen.print(make_report_table(wide_table(12), screen))
     said = capsys.readouterr().out
     assert "┃" not in said and "…" not in said
     assert "column11 slower" in " ".join(said.split())
@@ -143,11 +143,11 @@ def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixt
 def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixture[str]) -> None:
     """What is copied stays whole."""
     path = "/".join(["folder"] * 20)
-    say(["short", "word " * 30, f"see {path}"])
+    print_wrapped(["short", "word " * 30, f"see {path}"])
     said = capsys.readouterr().out
     assert_readable(said)
     assert path in said.splitlines()[-1]
-    assert entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
+    assert format_entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
 
 
 @pytest.mark.slow
@@ -163,8 +163,8 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
 
 def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     """That compiling takes a while, into a pipe: beside the output, not in it."""
-    with Bar(transient=True) as bar:
+    with ProgressBar(transient=True) as bar:
         bar.remark("compiling")
-    with Bar(quiet=True) as bar:
+    with ProgressBar(quiet=True) as bar:
         bar.remark("nothing")
     assert capsys.readouterr() == ("", "dpbench: compiling\n")

@@ -8,8 +8,8 @@ import pytest
 
 from dpbench.errors import InputError
 from dpbench.files.writing import (
+    file_list_path,
     is_file_name,
-    list_path,
     make_folder,
     new_file,
     replace_durably,
@@ -84,10 +84,10 @@ def test_a_list_that_others_wrote_removes_nothing_elsewhere(tmp_path: Path, name
     folder = make_folder(tmp_path / "out")
     (folder / "tables").mkdir()
     (tmp_path / "thesis.txt").write_text("mine", encoding="utf-8")
-    list_path(folder).write_text(json.dumps(names), encoding="utf-8")
+    file_list_path(folder).write_text(json.dumps(names), encoding="utf-8")
     write_together(folder, {"a.csv": lambda: b""})
     assert (tmp_path / "thesis.txt").exists() and (folder / "tables").is_dir()
-    assert json.loads(list_path(folder).read_text("utf-8")) == ["a.csv"]
+    assert json.loads(file_list_path(folder).read_text("utf-8")) == ["a.csv"]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError
-from dpbench.solvers.adapter import adapters_in
+from dpbench.solvers.adapter import find_adapters
 
 HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
@@ -53,7 +53,7 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     program = f"""
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
-from dpbench.solvers.settings import describe_levels, resolve, setting_names
+from dpbench.solvers.settings import describe_levels, resolve_options, setting_names
 from dpbench.solvers.table import TABLE, check_availability, native_adapter
 facts = {{}}
 for name in {NEWCOMERS}:
@@ -65,7 +65,7 @@ for name in {NEWCOMERS}:
         c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
-facts["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
+facts["own key"] = dict(resolve_options({{"precision": 0.5}}, native_adapter("newcomer")))
 print(json.dumps(facts))
 """
     facts: dict[str, Any] = json.loads(_run(copied, "-c", program))
@@ -111,10 +111,10 @@ def test_a_file_without_an_adapter_is_an_error(
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
-        adapters_in("two_solvers", besides=())
+        find_adapters("two_solvers", besides=())
     with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
-        adapters_in("two_solvers", besides=("helper",))
-    native, wrapped = adapters_in("two_solvers", besides=("helper", "two"))
+        find_adapters("two_solvers", besides=("helper",))
+    native, wrapped = find_adapters("two_solvers", besides=("helper", "two"))
     assert list(native) == ["newcomer"] and not wrapped
 
 

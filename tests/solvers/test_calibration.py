@@ -9,7 +9,13 @@ import pytest
 from dpbench.errors import InputError, PolicyError, UnknownNameError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
-from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, BusyWait, CopyOnly
+from dpbench.solvers.calibration import (
+    CALIBRATION,
+    COPY_ONLY,
+    NO_OP,
+    BusyWaitWorkspace,
+    CopyOnlyWorkspace,
+)
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import find_record, load_solver_module, solver_names
 from tests.solvers.conftest import solve_next
@@ -54,7 +60,7 @@ def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> 
 
 def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
     """It holds the numbers of the step, not the step's memory, and gives out memory of its own."""
-    workspace = CopyOnly(COPY_ONLY)
+    workspace = CopyOnlyWorkspace(COPY_ONLY)
     workspace.setup(qp)
     step = QPStep(qp.q + 1, qp.l - 1, qp.u + 2)
     workspace.update(step)
@@ -71,7 +77,7 @@ def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
 def test_a_wait_ends_with_the_first_reading_that_is_late_enough(wait_ns: int) -> None:
     """On a clock that advances 300 ns a reading it reads as often as the wait holds such steps."""
     readings = itertools.count(5_000, 300)
-    workspace = BusyWait("busy", wait_ns, lambda: next(readings))
+    workspace = BusyWaitWorkspace("busy", wait_ns, lambda: next(readings))
     workspace.solve()
     took = next(readings) - 300 - 5_000
     assert wait_ns <= took < wait_ns + 300

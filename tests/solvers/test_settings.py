@@ -13,7 +13,7 @@ from dpbench.solvers.settings import (
     describe_levels,
     has_tolerance_levels,
     level_options,
-    resolve,
+    resolve_options,
     setting_names,
 )
 from dpbench.solvers.table import TABLE
@@ -44,7 +44,7 @@ def test_every_level_is_accepted_by_the_library(installed, name, sequence):
     options = level_options(name, installed)
     for adapters in (THROUGH_QPSOLVERS, NATIVE):
         if installed in adapters:
-            assert resolve(dict(options), adapters[installed]) == options
+            assert resolve_options(dict(options), adapters[installed]) == options
     expected = UNREACHED.get((installed, name), Status.SOLVED)
     assert solve(installed, name, sequence.base).status is expected
 
@@ -123,8 +123,8 @@ def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
     """No name of OSQP's settings leaves the interval of adaptation to a clock."""
     for name in setting_names("osqp"):
         assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
-        assert resolve(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"] == 50
-    assert resolve({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
+        assert resolve_options(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"] == 50
+    assert resolve_options({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
 
 
 @pytest.mark.parametrize("key", ["eps_absolut", "verbose", "initvals", "backend"])

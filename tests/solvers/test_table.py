@@ -74,7 +74,7 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(table, "_version", missing)
+    monkeypatch.setattr(table, "_installed_version", missing)
     assert check_availability("hpipm").reason == "casadi is not installed: pip install casadi"
     assert check_availability("daqp").reason.endswith("pip install daqp")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):

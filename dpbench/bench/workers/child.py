@@ -34,7 +34,7 @@ from dpbench.temporary_folders import place_sockets_in_process_folder
 
 LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
 """Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
-_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._entry_point.*.nbi"}
+_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._compile_entry_point.*.nbi"}
 """The index in the cache of what each of them compiles last."""
 
 

@@ -1,8 +1,8 @@
 """The libraries; to write a module with their adapters is to register them."""
 
-from dpbench.solvers.adapter import adapters_in
+from dpbench.solvers.adapter import find_adapters
 
-NATIVE, THROUGH_QPSOLVERS = adapters_in(
+NATIVE, THROUGH_QPSOLVERS = find_adapters(
     __name__, besides=("native_workspace", "qpsolvers_workspace")
 )
 """By the name of the solver."""

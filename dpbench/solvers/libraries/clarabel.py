@@ -54,18 +54,18 @@ STATUS = {
 
 
 def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
-    """Make Clarabel's claim; the time it reports includes its set-up."""
+    """Convert Clarabel's status, iterations and time [s], which includes its set-up."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Read status and time; qpsolvers drops the iterations."""
+    """Read Clarabel's status and time from a qpsolvers solution, which lacks iterations."""
     return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
 
 
 def make_settings() -> Any:
-    """Return the library's settings at their defaults."""
+    """Return Clarabel's default settings."""
     return import_module("clarabel").DefaultSettings()
 
 
@@ -73,10 +73,11 @@ THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, make_settings=
 
 
 class ClarabelWorkspace(OneSidedWorkspace):
-    """Clarabel on [A; G] z + s = [b; h] with a zero cone and a nonnegative cone."""
+    """Clarabel on [A; G] z + s = [b; h], with a zero cone and a nonnegative cone."""
 
-    def _arrange(self) -> None:
-        rows, equalities, inequalities = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Convert P and [A; G] to sparse columns, and size the cones."""
+        rows, equalities, inequalities = self._stack_form_rows()
         self._P_upper = scipy.sparse.triu(self._P, format="csc")
         self._matrix = scipy.sparse.csc_matrix(rows)
         zero, nonnegative = self._library.ZeroConeT, self._library.NonnegativeConeT
@@ -84,24 +85,28 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._cones = [cone(size) for cone, size in sizes if size]
         self._equalities = equalities
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Make a Clarabel solver, without presolve."""
         settings = make_settings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
-        self._configure(settings)
+        self._apply_options(settings)
         form = self._form
         self._solver = self._library.DefaultSolver(
             self._P_upper, form.q, self._matrix, form.bh, self._cones, settings
         )
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Update q and b of the Clarabel solver."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that Clarabel reports."""
         result = self._result
         return make_claim(result.status, int(result.iterations), result.solve_time)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of Clarabel's result."""
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 

@@ -9,7 +9,13 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, keywords, read_found
+from dpbench.solvers.adapter import (
+    Claim,
+    NativeAdapter,
+    QpsolversAdapter,
+    list_keywords,
+    read_found,
+)
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 from dpbench.solvers.record import (
@@ -67,7 +73,7 @@ RECORD = SolverRecord(
 DATA = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi")
 STARTS = ("primal_start", "dual_start")
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "native", read_found, lambda: keywords("daqp", "solve", *DATA, *STARTS)
+    RECORD, "native", read_found, lambda: list_keywords("daqp", "solve", *DATA, *STARTS)
 )
 STATUS = {
     1: Status.SOLVED,
@@ -90,7 +96,8 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = 0
         self._result = (None, 0.0, 0, {})
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Allocate the buffers that DAQP reads its vectors from, bounds first."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)
@@ -105,7 +112,8 @@ class DaqpWorkspace(NativeWorkspace):
         self._low_view: Any = self._low_rows.data
         self._high_view: Any = self._high_rows.data
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a DAQP model and set it up with the current problem."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
         if self._options:
@@ -117,7 +125,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._unusable = flag < 0
 
     def update(self, step: QPStep) -> None:
-        """Take a shorter path for the usual step: DAQP itself takes 1.5 µs for it."""
+        """Copy new vectors into DAQP's buffers by a short path, since DAQP itself takes 1.5 µs."""
         new = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if new or self._result[2] != 1 or self._unusable or self.setup_every_step:
             super().update(step)
@@ -133,26 +141,28 @@ class DaqpWorkspace(NativeWorkspace):
         self._done = False
         self._refused = self._update(*self._vectors)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Copy q and row limits into DAQP's buffers and update its model."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
 
     def solve(self) -> None:
-        """Take a shorter path for the usual problem."""
+        """Call DAQP directly unless an earlier call failed."""
         if self._refused or self._failure:
             super().solve()
             return
         self._done = self._unread = self._used = True
         self._result = self._solve()
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call DAQP; keep its refusal where the model did not accept the problem."""
         if self._refused:
             self._result = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
         else:
             self._result = self._solve()
 
     def read(self) -> Solution:
-        """Take a shorter path for the usual answer."""
+        """Return an optimal answer by a short path, any other by the general one."""
         z, value, flag, info = self._result
         if flag != 1 or not self._done or not isfinite(value):
             return super().read()
@@ -161,12 +171,14 @@ class DaqpWorkspace(NativeWorkspace):
         reported_ns = int(info["solve_time"] * 1e9)
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read exit flag, iterations and time that DAQP reports."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
-    def _read_point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return z, y and y_box of DAQP's result; None without a point."""
         z, _, _, info = self._result
         if z is None:
             return None

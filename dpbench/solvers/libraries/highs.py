@@ -53,7 +53,7 @@ RECORD = SolverRecord(
 
 
 def make_settings() -> Any:
-    """Return the library's settings at their defaults."""
+    """Return HiGHS's default options."""
     return import_module("highspy").HighsOptions()
 
 
@@ -82,9 +82,10 @@ STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 
 
 class HighsWorkspace(NativeWorkspace):
-    """HiGHS with rows and bounds as they are."""
+    """HiGHS on two-sided rows and bounds, with a sparse Hessian."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Write P, A and the bounds into a HiGHS model."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
         model = library.HighsModel()
@@ -100,7 +101,8 @@ class HighsWorkspace(NativeWorkspace):
         self._model = model
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a HiGHS object, set its options and pass it the model."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
         solver = self._library.Highs()
@@ -108,31 +110,36 @@ class HighsWorkspace(NativeWorkspace):
         for name, value in self._options.items():
             solver.setOptionValue(name, value)
         self._solver = solver
-        self._check(solver.passModel(self._model))
+        self._raise_on_error(solver.passModel(self._model))
 
-    def _check(self, outcome: Any) -> None:
+    def _raise_on_error(self, outcome: Any) -> None:
+        """Raise DpbenchError if a HiGHS call returned an error."""
         if outcome == self._library.HighsStatus.kError:
             raise DpbenchError("HiGHS refuses the model")
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Change the linear cost and the row limits of the HiGHS model."""
         solver = self._solver
-        self._check(solver.changeColsCost(self._n, self._columns, q))
+        self._raise_on_error(solver.changeColsCost(self._n, self._columns, q))
         if self._m:
-            self._check(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
+            self._raise_on_error(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Run HiGHS, with its time limit moved to this solve."""
         if TIME_LIMIT in self._options:
             # HiGHS compares the limit with the run time of all solves of the object so far.
             limit_s = float(str(self._options[TIME_LIMIT]))
             self._solver.setOptionValue(TIME_LIMIT, self._solver.getRunTime() + limit_s)
         self._solver.run()
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read model status and QP iterations that HiGHS reports."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
 
-    def _read_point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return z, y and y_box of HiGHS, with signs turned; None without."""
         solution = self._solver.getSolution()
         if not solution.value_valid:
             return None

@@ -17,8 +17,8 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
-from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.one_sided import LimitSides
 from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
@@ -37,20 +37,18 @@ STATUS = {
 TEXT_BYTES = 256
 
 
-def _load(name: str) -> ctypes.CDLL:
+def _load_casadi_library(name: str) -> ctypes.CDLL:
+    """Load a shared library from the folder of the casadi package."""
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
 def blasfeo_build() -> Build:
-    """Read the vector instructions that HPIPM's linear algebra was compiled for.
-
-    Every target of BLASFEO but the generic one needs some.
-    """
-    return read_blasfeo_build(_load("libblasfeo.so"))
+    """Return the instruction set that casadi's BLASFEO, used by HPIPM, was compiled for."""
+    return read_blasfeo_build(_load_casadi_library("libblasfeo.so"))
 
 
 def read_blasfeo_build(library: Any) -> Build:
-    """Read the build of a loaded BLASFEO; an empty one where the library does not name it."""
+    """Return the instruction set of a loaded BLASFEO; an empty build if it states none."""
     if not hasattr(library, "blasfeo_processor_library_features"):
         return Build()
     features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
@@ -95,8 +93,8 @@ RECORD = SolverRecord(
 )
 
 
-class Structures:
-    """HPIPM's structures of one problem size, and the memory behind them.
+class HpipmStructures:
+    """C structures and memory of HPIPM for QPs of one size: data, solution, workspace.
 
     Parameters
     ----------
@@ -115,53 +113,59 @@ class Structures:
     ) -> None:
         self._library, self._kind = library, f"d_{kind}"
         self._memory: list[Any] = []
-        self.dim = self._make("_dim", *stages)
-        self.function("dim_set_all")(*sizes, self.dim)
-        self.qp, self.sol, self.arg = (self._make(k, self.dim) for k in ("", "_sol", "_ipm_arg"))
-        self._set_arguments(dict(options))
+        self.dim = self._create_structure("_dim", *stages)
+        self.look_up_function("dim_set_all")(*sizes, self.dim)
+        self.qp, self.sol, self.arg = (
+            self._create_structure(k, self.dim) for k in ("", "_sol", "_ipm_arg")
+        )
+        self._write_arguments(dict(options))
         # Its size depends on the arguments.
-        self.ws = self._make("_ipm_ws", self.dim, self.arg)
-        self._solve = self.function("ipm_solve")
-        self._set_warm_start = self.function("ipm_arg_set_warm_start")
+        self.ws = self._create_structure("_ipm_ws", self.dim, self.arg)
+        self._solve = self.look_up_function("ipm_solve")
+        self._set_warm_start = self.look_up_function("ipm_arg_set_warm_start")
         self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
         self._flag, self._count = ctypes.c_int(), ctypes.c_int()
         self._getters = [
-            (self.function("ipm_get_status"), ctypes.byref(self._flag)),
-            (self.function("ipm_get_iter"), ctypes.byref(self._count)),
+            (self.look_up_function("ipm_get_status"), ctypes.byref(self._flag)),
+            (self.look_up_function("ipm_get_iter"), ctypes.byref(self._count)),
         ]
 
-    def function(self, name: str) -> Any:
-        """Look up a function of the library for this kind of problem."""
+    def look_up_function(self, name: str) -> Any:
+        """Return HPIPM's C function of this name for this kind of QP."""
         return getattr(self._library, f"{self._kind}_{name}")
 
-    def calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
-        """Return the function and the address of each array that is not empty, to set or get it."""
+    def list_array_calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
+        """Return (C function, address) to set or get each nonempty array."""
         named = [(name, array) for name, array in arrays.items() if array.size]
-        return [(self.function(f"{verb}_{name}"), pointer(array)) for name, array in named]
+        return [
+            (self.look_up_function(f"{verb}_{name}"), array_pointer(array)) for name, array in named
+        ]
 
     def start_warm(self, given: bool) -> None:
-        """Begin the next solve with the values in `sol`, or without a start."""
+        """Select whether the next solve starts from the values in `sol`."""
         self._set_warm_start(self._warm_flags[given], self.arg)
 
     def solve(self) -> None:
-        """Solve `qp` into `sol`."""
+        """Solve the QP in `qp` and write the solution into `sol`."""
         self._solve(self.qp, self.sol, self.arg, self.ws)
 
-    def outcome(self) -> Claim:
-        """Read HPIPM's claim about the last solve."""
+    def read_reported_status(self) -> Claim:
+        """Read status and iterations of HPIPM's last solve."""
         for function, target in self._getters:
             function(self.ws, target)
         flag = self._flag.value
         return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
 
-    def _set_arguments(self, options: dict[str, Any]) -> None:
+    def _write_arguments(self, options: dict[str, Any]) -> None:
+        """Write mode and options into HPIPM's argument structure."""
         mode = MODES.index(str(options.pop("mode", "SPEED")))
-        self.function("ipm_arg_set_default")(mode, self.arg)
+        self.look_up_function("ipm_arg_set_default")(mode, self.arg)
         for name, value in options.items():
             number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
-            self.function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
+            self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
 
-    def _make(self, kind: str, *parts: Any) -> Any:
+    def _create_structure(self, kind: str, *parts: Any) -> Any:
+        """Allocate memory for a C structure of HPIPM and initialise it."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:
@@ -173,18 +177,15 @@ class Structures:
         return structure
 
 
-def pointer(array: NDArray[Any]) -> Any:
-    """Return the address of an array, for a C function."""
+def array_pointer(array: NDArray[Any]) -> Any:
+    """Return the memory address of an array as a C void pointer."""
     return ctypes.c_void_p(array.ctypes.data)
 
 
 class HpipmWorkspace(NativeWorkspace):
-    """HPIPM on limits of [A; I], `_low` and `_high`; another `_pattern` of them is set up anew.
+    """Base of the dense and the stage-wise HPIPM solver, with limits of [A; I]."""
 
-    `_build` makes `_parts`; `_fill` hands over a gradient and the limits, `_place_start` the start.
-    """
-
-    _parts: Structures
+    _parts: HpipmStructures
     _pattern: bytes | None = None
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
@@ -192,40 +193,46 @@ class HpipmWorkspace(NativeWorkspace):
         # libhpipm needs libblasfeo loaded first. Its names stay its own: PIQP's factorisation by
         # stages brings another BLASFEO of the same names, and would call this one and corrupt
         # memory.
-        _load("libblasfeo.so")
-        self._library = _load("libhpipm.so")
+        _load_casadi_library("libblasfeo.so")
+        self._library = _load_casadi_library("libhpipm.so")
 
     @abstractmethod
-    def _fill(self, q: Vector) -> None: ...
+    def _send_vectors(self, q: Vector) -> None:
+        """Pass q and the stored limits to HPIPM."""
 
     @abstractmethod
-    def _place_start(self) -> None: ...
+    def _write_start(self) -> None:
+        """Write the shifted previous answer into HPIPM's solution as the start."""
 
-    def _convert(self) -> None:
-        self._low, self._high = self._limits_of_all()
+    def _convert_matrices(self) -> None:
+        """Allocate the joint limit buffers of [A; I]."""
+        self._low, self._high = self._allocate_joint_limits()
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if Sides.pattern(low, high) != self._pattern:
-            self._build_for(q, low, high)
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass q, limits and start on; make new structures if the pattern changed."""
+        if LimitSides.encode_pattern(low, high) != self._pattern:
+            self._build_solver_for_step(q, low, high)
             return
         m = self._m
         self._low[:m], self._high[:m] = low, high
-        self._fill(q)
+        self._send_vectors(q)
         if self._warm:
             given = self._start.advance()
             if given:
-                self._place_start()
+                self._write_start()
             self._parts.start_warm(given)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Solve the QP in HPIPM's structures."""
         self._parts.solve()
 
-    def _read_claim(self) -> Claim:
-        return self._parts.outcome()
+    def _read_reported_status(self) -> Claim:
+        """Read status and iterations that HPIPM reports."""
+        return self._parts.read_reported_status()
 
 
-class Limits:
-    """Index sets of the limits of [A; I]: equalities, bounds, general rows; and their buffers.
+class DenseLimits:
+    """Limits of [A; I] grouped as HPIPM takes them: equalities, bounds, general rows.
 
     The wheel's HPIPM reads an index it never set when the lower side of a bound is masked out, so a
     bound with an infinite side goes as a general row.
@@ -244,7 +251,7 @@ class Limits:
         self.infinite = [np.flatnonzero(np.isinf(limit[self.sides])) for limit in (low, high)]
 
     def fill(self, low: Vector, high: Vector) -> None:
-        """Gather the limits of a step; a side that is masked out still has to be a number."""
+        """Copy the limits of a step into the group buffers, 0 for infinite sides."""
         low.take(self.sides, out=self.low)
         high.take(self.sides, out=self.high)
         for limit, infinite in zip((self.low, self.high), self.infinite, strict=True):
@@ -253,8 +260,8 @@ class Limits:
         if self.b.size:
             high.take(self.equal, out=self.b)
 
-    def masks(self) -> list[Vector]:
-        """Return 1 for each lower and upper side of a general row that exists, 0 for the others."""
+    def infinite_side_masks(self) -> list[Vector]:
+        """Return two masks of general rows, lower and upper: 1 for finite sides, 0 for infinite."""
         masks = [np.ones(self.sides.size) for _ in range(2)]
         for mask, infinite in zip(masks, self.infinite, strict=True):
             mask[infinite] = 0.0
@@ -262,20 +269,22 @@ class Limits:
 
 
 class DenseWorkspace(HpipmWorkspace):
-    """HPIPM on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b; `warm` gives it the previous v, shifted."""
+    """HPIPM's dense solver on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b."""
 
-    def _convert(self) -> None:
-        super()._convert()
-        self._rows = stacked(self._A, self._n)
+    def _convert_matrices(self) -> None:
+        """Allocate the limit buffers and stack A and I as general rows."""
+        super()._convert_matrices()
+        self._rows = stack_bound_rows(self._A, self._n)
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make HPIPM's dense structures and write the constant matrices into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        self._pattern = Sides.pattern(self._l, self._u)
-        limits = self._limits = Limits(self._low, self._high, m)
+        self._pattern = LimitSides.encode_pattern(self._l, self._u)
+        limits = self._limits = DenseLimits(self._low, self._high, m)
         sizes = (n, limits.equal.size, limits.bounds.size, limits.rows.size, 0)
-        self._parts = parts = Structures(library, "dense_qp", sizes, self._options)
-        lower, upper = limits.masks()
+        self._parts = parts = HpipmStructures(library, "dense_qp", sizes, self._options)
+        lower, upper = limits.infinite_side_masks()
         constants: dict[str, NDArray[Any]] = {
             "H": self._P,
             "A": np.asfortranarray(self._rows[limits.equal]),
@@ -285,11 +294,12 @@ class DenseWorkspace(HpipmWorkspace):
             "ug_mask": upper,
         }
         for name, array in constants.items():
-            parts.function(f"set_{name}")(pointer(array), parts.qp)
-        self._allocate(limits)
-        self._fill(self._q)
+            parts.look_up_function(f"set_{name}")(array_pointer(array), parts.qp)
+        self._allocate_buffers(limits)
+        self._send_vectors(self._q)
 
-    def _allocate(self, limits: Limits) -> None:
+    def _allocate_buffers(self, limits: DenseLimits) -> None:
+        """Allocate vectors in and out of HPIPM and look up their C functions."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)
@@ -301,20 +311,23 @@ class DenseWorkspace(HpipmWorkspace):
         ):
             inputs |= {f"{side}b": limit[:n_bounds], f"{side}g": limit[n_bounds:]}
             outputs |= {f"lam_{side}b": dual[:n_bounds], f"lam_{side}g": dual[n_bounds:]}
-        self._setters = self._parts.calls("set", inputs)
-        self._getters = self._parts.calls("sol_get", outputs)
+        self._setters = self._parts.list_array_calls("set", inputs)
+        self._getters = self._parts.list_array_calls("sol_get", outputs)
 
-    def _fill(self, q: Vector) -> None:
+    def _send_vectors(self, q: Vector) -> None:
+        """Copy q and the limits into the buffers and pass them to HPIPM."""
         self._g[:] = q
         self._limits.fill(self._low, self._high)
         qp = self._parts.qp
         for function, address in self._setters:
             function(address, qp)
 
-    def _place_start(self) -> None:
-        self._library.d_dense_qp_sol_set_v(pointer(self._start.z), self._parts.sol)
+    def _write_start(self) -> None:
+        """Write the shifted previous z into HPIPM's solution."""
+        self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box from HPIPM's dense solution."""
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:
             function(sol, address)

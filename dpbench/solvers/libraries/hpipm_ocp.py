@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.libraries import hpipm
-from dpbench.solvers.libraries.hpipm import HpipmWorkspace, Structures, pointer
+from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, array_pointer
 from dpbench.solvers.libraries.native_workspace import Point
-from dpbench.solvers.one_sided import Sides
+from dpbench.solvers.one_sided import LimitSides
 from dpbench.solvers.record import by_tolerance
 
 RECORD = replace(
@@ -38,7 +38,7 @@ NOTHING: Indices = np.empty(0, dtype=np.intp)
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Indices of one stage of a QP.
+    """Indices of the variables and rows of one stage of an optimal control problem.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ class Stage:
 
     @property
     def variables(self) -> Indices:
-        """Inputs, then states."""
+        """Indices of the stage's variables: inputs, then states."""
         return np.concatenate([self.inputs, self.states])
 
 
 def split_stages(
     sizes: Sequence[tuple[int, int]], P: Matrix, A: Matrix, equal: Flags
 ) -> list[Stage]:
-    """Split a QP into stages; one stage of inputs where the sizes do not fit it.
+    """Split a QP into the stages of an optimal control problem; one stage if it has none.
 
     A row with l = u that ends in a state, as the first one to do so, defines this state by the
     stage before. The cost and all other rows couple variables of one stage only.
@@ -100,8 +100,8 @@ def split_stages(
     return stages
 
 
-def limited(A: Matrix, numbers: Indices) -> Matrix:
-    """Those rows of [A; I]."""
+def select_limit_rows(A: Matrix, numbers: Indices) -> Matrix:
+    """Return the rows of [A; I] with these numbers, (k, n)."""
     m, n = A.shape
     rows, own = np.zeros((numbers.size, n)), numbers >= m
     rows[~own] = A[numbers[~own]]
@@ -110,7 +110,7 @@ def limited(A: Matrix, numbers: Indices) -> Matrix:
 
 
 class StageLimits:
-    """Which limits of [A; I] are bounds of a stage and which are general rows.
+    """Limits of one stage, split into bounds on variables and general rows.
 
     A row that is one variable itself is a bound of it, if it has no other. A limit without any
     finite side is none; one infinite side is masked out, which this interface of HPIPM bears in
@@ -120,7 +120,7 @@ class StageLimits:
     def __init__(self, stage: Stage, A: Matrix, low: Vector, high: Vector) -> None:
         numbers = np.concatenate([stage.rows, A.shape[0] + stage.variables])
         numbers = numbers[~((low[numbers] == -np.inf) & (high[numbers] == np.inf))]
-        rows = limited(A, numbers)
+        rows = select_limit_rows(A, numbers)
         single = (np.count_nonzero(rows, axis=1) == 1) & (rows.sum(axis=1) == 1.0)
         candidates = np.flatnonzero(single)[::-1]
         bound_of: dict[int, int] = {}
@@ -138,11 +138,11 @@ class StageLimits:
 
     @property
     def sides(self) -> Indices:
-        """Numbers in [A; I]: bounds before rows, as in HPIPM."""
+        """Row numbers in [A; I] of the stage's limits: bounds, then general rows."""
         return np.concatenate([self.bounds, self.rows])
 
-    def masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """0 for each infinite side, 1 for the others, by the name of HPIPM's mask if it has a 0."""
+    def infinite_side_masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
+        """Return HPIPM's masks of infinite sides (0) by name; only masks with a 0."""
         # A NaN is a limit like any other.
         masks = {
             f"{side}{kind}_mask": 1.0 - np.isinf(limit[numbers])
@@ -153,7 +153,7 @@ class StageLimits:
 
 
 class StageData:
-    """The matrices of all stages, as HPIPM's setters take them, and the order of the vectors.
+    """Matrices of all stages for HPIPM, and the order of variables, dynamics and limits.
 
     Parameters
     ----------
@@ -178,11 +178,12 @@ class StageData:
         self.sides = np.concatenate([limits.sides for limits in self.limits])
         states = np.concatenate([stage.states for stage in stages])
         self.pivots: Vector = A[self.dynamics, states]
-        self.matrices = [self._stage(k, P, A) for k in range(len(stages))]
+        self.matrices = [self._stage_matrices(k, P, A) for k in range(len(stages))]
 
-    def _stage(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
+    def _stage_matrices(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
+        """Return cost, dynamics and constraint matrices of stage k, by HPIPM's names."""
         stage, limits = self.stages[k], self.limits[k]
-        u, x, general = stage.inputs, stage.states, limited(A, limits.rows)
+        u, x, general = stage.inputs, stage.states, select_limit_rows(A, limits.rows)
         matrices: dict[str, NDArray[Any]] = {
             "R": P[np.ix_(u, u)],
             "Q": P[np.ix_(x, x)],
@@ -200,7 +201,7 @@ class StageData:
 
     @property
     def sizes(self) -> list[NDArray[np.intc]]:
-        """nx, nu, nbx, nbu, ng, ns of each stage."""
+        """Arrays nx, nu, nbx, nbu, ng, ns over the stages."""
         inputs = np.array([stage.inputs.size for stage in self.stages])
         on_inputs = [
             np.count_nonzero(limits.positions < n)
@@ -217,15 +218,15 @@ class StageData:
         return [np.array(size, dtype=np.intc) for size in sizes]
 
 
-class Part:
-    """One vector of all stages, sent by stage where it has changed.
+class StagedVector:
+    """One vector of all stages, passed to HPIPM for those stages where it has changed.
 
     Parameters
     ----------
     calls : for each stage, the setters and how many entries of the vector each takes in turn.
     """
 
-    def __init__(self, parts: Structures, calls: list[list[tuple[str, int]]]) -> None:
+    def __init__(self, parts: HpipmStructures, calls: list[list[tuple[str, int]]]) -> None:
         sizes = [sum(size for _, size in stage) for stage in calls]
         self.values = np.zeros(sum(sizes))
         self._new = np.empty_like(self.values)
@@ -238,16 +239,16 @@ class Part:
             self._calls.append([])
             for name, size in stage:
                 if size:
-                    address = pointer(self.values[at : at + size])
-                    self._calls[-1].append((parts.function(f"set_{name}"), address))
+                    address = array_pointer(self.values[at : at + size])
+                    self._calls[-1].append((parts.look_up_function(f"set_{name}"), address))
                 at += size
 
     def gather(self, source: Vector, numbers: Indices) -> Vector:
-        """Return the entries of a vector of the QP, in memory to be changed before `send`."""
+        """Return selected entries of a QP vector in a buffer that `send` passes on."""
         return source.take(numbers, out=self._new)
 
     def send(self, everything: bool = False) -> None:
-        """Hand over what has been gathered."""
+        """Pass the gathered values to HPIPM, for changed stages or for all."""
         changed = np.not_equal(self._new, self.values, out=self._changed)
         if not (everything or changed.any()):
             return
@@ -257,80 +258,80 @@ class Part:
                 function(k, address, self._qp)
 
 
-def addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
-    """Where pieces of those sizes begin in an array, as C reads it."""
+def piece_addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
+    """Return the memory addresses of consecutive pieces of an array, given their sizes."""
     first = np.concatenate([[0], np.cumsum(list(sizes), dtype=np.intp)[:-1]])
     return (array.ctypes.data + array.itemsize * first).astype(np.uintp)
 
 
 class OcpWorkspace(HpipmWorkspace):
-    """HPIPM by stages, found anew when other rows have l = u or an infinite side.
+    """HPIPM's optimal control solver, on stages found in the QP."""
 
-    `warm` gives it the previous z, shifted.
-    """
-
-    def _convert(self) -> None:
-        super()._convert()
+    def _convert_matrices(self) -> None:
+        """Allocate the limit buffers and discard the known stages."""
+        super()._convert_matrices()
         self._pattern = None
 
-    def _find(self) -> None:
-        """Find the stages, and what stays while the same limits are equal or infinite."""
-        self._pattern = Sides.pattern(self._l, self._u)
-        stages = split_stages(self._stages, self._P, self._A, self._l == self._u)
-        self._data = StageData(stages, self._P, self._A, self._low, self._high)
-
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make HPIPM's stage-wise structures and write all matrices into them."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
-        if Sides.pattern(self._l, self._u) != self._pattern:
-            self._find()
+        pattern = LimitSides.encode_pattern(self._l, self._u)
+        if pattern != self._pattern:
+            self._pattern = pattern
+            stages = split_stages(self._stages, self._P, self._A, self._l == self._u)
+            self._data = StageData(stages, self._P, self._A, self._low, self._high)
         data = self._data
-        sizes, last = tuple(map(pointer, data.sizes)), len(data.stages) - 1
-        parts = self._parts = Structures(self._library, "ocp_qp", sizes, self._options, last)
+        sizes, last = tuple(map(array_pointer, data.sizes)), len(data.stages) - 1
+        parts = self._parts = HpipmStructures(self._library, "ocp_qp", sizes, self._options, last)
         for k, matrices in enumerate(data.matrices):
             for name, array in matrices.items():
                 if array.size:
-                    parts.function(f"set_{name}")(k, pointer(array), parts.qp)
-        self._set_masks()
-        self._allocate()
-        self._fill(self._q, everything=True)
+                    parts.look_up_function(f"set_{name}")(k, array_pointer(array), parts.qp)
+        self._mask_infinite_sides()
+        self._allocate_buffers()
+        self._send_vectors(self._q, everything=True)
 
-    def _set_masks(self) -> None:
-        """Mask the sides out that do not exist, whose limits are numbers all the same."""
+    def _mask_infinite_sides(self) -> None:
+        """Mask out limits that are infinite, which HPIPM cannot take as numbers."""
         sides, parts = self._data.sides, self._parts
         self._infinite = [np.flatnonzero(np.isinf(a[sides])) for a in (self._low, self._high)]
         for k, limits in enumerate(self._data.limits):
-            for name, mask in limits.masks(self._low, self._high).items():
-                parts.function(f"set_{name}")(k, pointer(mask), parts.qp)
+            for name, mask in limits.infinite_side_masks(self._low, self._high).items():
+                parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
 
-    def _allocate(self) -> None:
-        """Buffers of all stages, and their addresses for what is set and got."""
+    def _allocate_buffers(self) -> None:
+        """Allocate vectors of all stages and tables of their addresses for HPIPM."""
         nx, nu, nbx, nbu, ng, _ = self._data.sizes
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
-        self._cost = Part(parts, [[("r", u), ("q", x)] for u, x, _, _ in by_stage])
-        self._b = Part(parts, [[("b", x)] for x in nx[1:].tolist()])
+        self._cost = StagedVector(parts, [[("r", u), ("q", x)] for u, x, _, _ in by_stage])
+        self._b = StagedVector(parts, [[("b", x)] for x in nx[1:].tolist()])
         self._limits = (
-            Part(parts, [[("lb", b), ("lg", g)] for _, _, b, g in by_stage]),
-            Part(parts, [[("ub", b), ("ug", g)] for _, _, b, g in by_stage]),
+            StagedVector(parts, [[("lb", b), ("lg", g)] for _, _, b, g in by_stage]),
+            StagedVector(parts, [[("ub", b), ("ug", g)] for _, _, b, g in by_stage]),
         )
         data = self._data
         self._z, self._pi = np.empty(self._n), np.empty(data.dynamics.size)
         self._lower, self._upper = np.empty(data.sides.size), np.empty(data.sides.size)
         variables = np.stack([nu, nx], axis=1).reshape(-1)
         limits = np.stack([nb, ng], axis=1).reshape(-1)
-        at_z = addresses(self._z, variables).reshape(-1, 2)
-        at_lower = addresses(self._lower, limits).reshape(-1, 2)
-        at_upper = addresses(self._upper, limits).reshape(-1, 2)
+        at_z = piece_addresses(self._z, variables).reshape(-1, 2)
+        at_lower = piece_addresses(self._lower, limits).reshape(-1, 2)
+        at_upper = piece_addresses(self._upper, limits).reshape(-1, 2)
         none = np.zeros(nx.size, dtype=np.uintp)
-        at_pi = addresses(self._pi, nx[1:])
+        at_pi = piece_addresses(self._pi, nx[1:])
         tables = [*at_z.T, none, none, at_pi]
         tables += [at_lower[:, 0], at_upper[:, 0], at_lower[:, 1], at_upper[:, 1], none, none]
         self._tables = [np.ascontiguousarray(table) for table in tables]
-        self._pieces = [pointer(table) for table in self._tables]
-        self._get, self._set = parts.function("sol_get_all"), parts.function("sol_set_all")
+        self._pieces = [array_pointer(table) for table in self._tables]
+        self._get, self._set = (
+            parts.look_up_function("sol_get_all"),
+            parts.look_up_function("sol_set_all"),
+        )
 
-    def _fill(self, q: Vector, everything: bool = False) -> None:
+    def _send_vectors(self, q: Vector, everything: bool = False) -> None:
+        """Gather q, dynamics offsets and limits by stage and pass them to HPIPM."""
         data = self._data
         self._cost.gather(q, data.order)
         b = self._b.gather(self._high, data.dynamics)
@@ -343,11 +344,13 @@ class OcpWorkspace(HpipmWorkspace):
         for part in (self._cost, self._b, *self._limits):
             part.send(everything)
 
-    def _place_start(self) -> None:
+    def _write_start(self) -> None:
+        """Write the shifted previous z, in stage order, into HPIPM's solution."""
         self._start.z.take(self._data.order, out=self._z)
         self._set(*self._pieces, self._parts.sol)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box from HPIPM's stage-wise solution."""
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)

@@ -39,7 +39,7 @@ SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
 
 class NativeWorkspace(Workspace):
-    """A library through its own interface.
+    """Base of solvers called through their own interface: data, life cycle and failures.
 
     Whatever a method of a subclass raises becomes the status ERROR with the library's words. Where
     a warm start is made of vectors, `_start` holds the previous answer.
@@ -53,7 +53,7 @@ class NativeWorkspace(Workspace):
 
     _solver: Any
     _result: Any = None
-    _start: Start
+    _start: WarmStart
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record.name, "native", policy)
@@ -70,68 +70,69 @@ class NativeWorkspace(Workspace):
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
-    def _convert(self) -> None:
-        """Bring new matrices `_P, _A, _lb, _ub` into the library's form."""
+    def _convert_matrices(self) -> None:
+        """Convert new matrices P, A and bounds lb, ub into the library's form."""
 
     @abstractmethod
-    def _build(self) -> None:
-        """Make a new library object of the converted matrices and `_q, _l, _u`."""
+    def _build_solver(self) -> None:
+        """Make a new library object from the converted matrices and q, l, u."""
 
     @abstractmethod
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Give the library the vectors of a step; nothing else has changed."""
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass q and the row limits of a step to the library, in place."""
 
-    def _call(self) -> None:
-        """Let the library solve."""
+    def _run_solver(self) -> None:
+        """Call the library's solve function."""
         self._result = self._solver.solve()
 
     @abstractmethod
-    def _read_claim(self) -> Claim:
-        """Read the library's claim about its last answer."""
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time [ns] that the library reports."""
 
     @abstractmethod
-    def _read_point(self) -> Point | None:
-        """Return z, y and y_box of a usable answer in new memory; None if there are none."""
+    def _read_solution_vectors(self) -> Point | None:
+        """Return z, y and y_box in new memory; None if there are none."""
 
-    def _configure(self, settings: Any) -> None:
-        """Write the options into a settings object of the library."""
+    def _apply_options(self, settings: Any) -> None:
+        """Set the solver options as attributes of a settings object."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
-    def _limits_of_all(self) -> tuple[Vector, Vector]:
-        """Return buffers for the limits of [A; I], with the bounds filled in."""
+    def _allocate_joint_limits(self) -> tuple[Vector, Vector]:
+        """Return limit buffers (m + n,) of [A; I], with the bounds written in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
-    def _build_for(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Store the vectors of a step and make a new library object for them."""
+    def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Store q, l, u of a step and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
-        self._renew()
+        self._build_with_empty_start()
 
-    def _renew(self) -> None:
+    def _build_with_empty_start(self) -> None:
+        """Make a new library object, with the stored warm start cleared."""
         if self._given_start:
-            self._start = Start(self._n, self._m, self._block)
-        self._build()
+            self._start = WarmStart(self._n, self._m, self._block)
+        self._build_solver()
 
-    def _has_start(self) -> bool:
-        """Move `_start` on to this step; return whether there is one."""
+    def _advance_start(self) -> bool:
+        """Shift the stored warm start to this step; return whether there is one."""
         return self._given_start and self._start.advance()
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem, make a new library object and forget every earlier answer."""
-        self._forget()
+        """Copy the problem, make a new library object and discard earlier answers."""
+        self._clear_answer_state()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         order = (self._block, self._stages) == (qp.block, qp.stages)
-        if not (self._converted and order and self._has_matrices(qp)):
+        if not (self._converted and order and self._has_same_matrices(qp)):
             self._n, self._m, self._block, self._stages = qp.n, qp.m, qp.block, qp.stages
             self._P, self._A = qp.P.copy(), qp.A.copy()
             self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
             self._matrices_given = qp.P, qp.A, qp.lb, qp.ub
             self._converted = False
-        self._rebuild()
+        self._rebuild_solver()
 
-    def _has_matrices(self, qp: QuadraticProgram) -> bool:
-        """Return whether the matrices are equal to the own copies."""
+    def _has_same_matrices(self, qp: QuadraticProgram) -> bool:
+        """Return whether P, A, lb and ub of `qp` equal those already stored."""
         old, new = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
         if old and all(a is b and not b.flags.writeable for a, b in zip(old, new, strict=True)):
             return True
@@ -142,7 +143,7 @@ class NativeWorkspace(Workspace):
         )
 
     def update(self, step: QPStep) -> None:
-        """Hand over the vectors; for new matrices make the library object anew."""
+        """Pass new vectors to the library; make a new library object for new matrices."""
         n, m = self._n, self._m
         if n < 0:
             raise missing_setup_error("update")
@@ -162,51 +163,53 @@ class NativeWorkspace(Workspace):
                     setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
         if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
-            self._rebuild()
+            self._rebuild_solver()
             return
         try:
-            self._hand_over(q, low, high)
+            self._update_vectors(q, low, high)
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
-    def _rebuild(self) -> None:
+    def _rebuild_solver(self) -> None:
+        """Make a new library object; store what the library raises as the failure."""
         self._unusable = self._used = False
         self._failure = ""
         try:
             if not self._converted:
-                self._convert()
+                self._convert_matrices()
                 self._converted = True
-            self._renew()
+            self._build_with_empty_start()
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
-    def _fail(self, error: BaseException) -> None:
+    def _record_failure(self, error: BaseException) -> None:
+        """Store an exception's text and mark the library object as unusable."""
         self._failure, self._unusable = describe_exception(error), True
 
     def solve(self) -> None:
-        """Solve; store whatever the library raises for `read`."""
+        """Call the library; store whatever it raises, for `read` to report."""
         if self._failure:
             return
         self._done = self._unread = self._used = True
         try:
-            self._call()
+            self._run_solver()
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
     def read(self) -> Solution:
-        """Return the answer; after an unusable one the next update starts from nothing."""
+        """Return the answer; after an unusable one the next update makes a new library object."""
         if self._n < 0:
             raise missing_setup_error("read")
         if self._failure:
             self._unread = False
-            return self._missing(Status.ERROR, -1, -1, self._failure)
+            return self._make_empty_solution(Status.ERROR, -1, -1, self._failure)
         if not self._done:
-            return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
-        status, iterations, reported_ns, detail = self._read_claim()
+            return self._make_empty_solution(Status.ERROR, -1, -1, NOT_SOLVED)
+        status, iterations, reported_ns, detail = self._read_reported_status()
         detail = "" if status is SOLVED else detail
-        point = self._read_point() if status.is_usable else None
+        point = self._read_solution_vectors() if status.is_usable else None
         if point is None:
-            solution = self._missing(status, iterations, reported_ns, detail)
+            solution = self._make_empty_solution(status, iterations, reported_ns, detail)
         else:
             solution = Solution(status, *point, iterations, reported_ns, detail)
         if self._unread:
@@ -215,33 +218,37 @@ class NativeWorkspace(Workspace):
             z = solution.z
             self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
-                self._remember(solution)
+                self._store_start(solution)
         return solution
 
-    def _remember(self, solution: Solution) -> None:
-        """Store the next start; nothing where the library keeps it itself."""
+    def _store_start(self, solution: Solution) -> None:
+        """Store an answer as the next warm start, unless the library keeps it itself."""
         if self._given_start:
             self._start.remember(solution)
 
-    def _missing(self, status: Status, iterations: int, reported_ns: int, detail: str) -> Solution:
+    def _make_empty_solution(
+        self, status: Status, iterations: int, reported_ns: int, detail: str
+    ) -> Solution:
+        """Return an answer without numbers, with status, iterations and time [ns]."""
         solution = Solution.missing(self._n, self._m, status, detail)
         solution.iterations, solution.reported_ns = iterations, reported_ns
         return solution
 
     def reset(self) -> None:
-        """Make the library object anew, unless it is unused."""
+        """Make a new library object without a warm start, unless it is unused."""
         stale = self._used or self._unusable
-        self._forget()
+        self._clear_answer_state()
         if stale and not self.setup_every_step:
-            self._rebuild()
+            self._rebuild_solver()
 
-    def _forget(self) -> None:
+    def _clear_answer_state(self) -> None:
+        """Clear the flags and the failure text of earlier answers."""
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
 
 class OneSidedWorkspace(NativeWorkspace):
-    """A library that takes one side of a limit only: A z = b and G z ≤ h.
+    """Base of native solvers that take A z = b and G z ≤ h, one side of a limit only.
 
     Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
     of another pattern makes the library object anew.
@@ -250,37 +257,40 @@ class OneSidedWorkspace(NativeWorkspace):
     _form: OneSidedForm
 
     @abstractmethod
-    def _create(self) -> None:
-        """Make a new library object from `_form`."""
+    def _create_solver_from_form(self) -> None:
+        """Make a new library object from the one-sided form."""
 
     @abstractmethod
-    def _send(self) -> None:
-        """Give the library the vectors in `_form`."""
+    def _send_form_vectors(self) -> None:
+        """Pass the vectors of the one-sided form to the library."""
 
-    def _arrange(self) -> None:
-        """Prepare the matrices of a new `_form` for `_create`."""
+    def _prepare_form_matrices(self) -> None:
+        """Convert the matrices of a new one-sided form for the library."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert the two-sided problem into the one-sided form."""
         qp = QuadraticProgram(
             self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
         )
         self._form = OneSidedForm(qp, "dense", "rows")
-        self._arrange()
+        self._prepare_form_matrices()
 
-    def _build(self) -> None:
-        if not self._form.fits(self._l, self._u):
-            self._convert()
+    def _build_solver(self) -> None:
+        """Make a new library object, with a new form if other limits are infinite."""
+        if not self._form.has_same_pattern(self._l, self._u):
+            self._convert_matrices()
         self._form.fill(self._q, self._l, self._u)
-        self._create()
+        self._create_solver_from_form()
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if self._form.fits(low, high):
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass the vectors on; make a new library object if the pattern changed."""
+        if self._form.has_same_pattern(low, high):
             self._form.fill(q, low, high)
-            self._send()
+            self._send_form_vectors()
         else:
-            self._build_for(q, low, high)
+            self._build_solver_for_step(q, low, high)
 
-    def _rows(self) -> tuple[Matrix, int, int]:
+    def _stack_form_rows(self) -> tuple[Matrix, int, int]:
         """Return [A; G], the number of equalities and that of inequalities."""
         parts = [M for M in (self._form.A, self._form.G) if M is not None]
         rows = np.vstack(parts) if parts else np.empty((0, self._n))
@@ -288,8 +298,8 @@ class OneSidedWorkspace(NativeWorkspace):
         return rows, equalities, rows.shape[0] - equalities
 
 
-class Start:
-    """The previous answer, one move later, as the start of the next solve.
+class WarmStart:
+    """The previous answer shifted by one control increment, to start the next solve.
 
     Moves shift by a block of variables, multipliers of rows by the rows of a move; those of the
     last move are zero. Block 0 shifts nothing.
@@ -305,20 +315,20 @@ class Start:
         self.known = False
 
     def remember(self, solution: Solution) -> None:
-        """Store a copy of an answer."""
+        """Store a copy of an answer's z, y and y_box."""
         answer = (solution.z, solution.y, solution.y_box)
         for (_, last, _), value in zip(self._last, answer, strict=True):
             last[:] = value
         self.known = True
 
     def advance(self) -> bool:
-        """Fill `z`, `y`, `y_box` with the stored answer one move later; false if there is none."""
+        """Shift the stored answer into `z`, `y`, `y_box`; return whether there is one."""
         if self.known:
             for target, last, by in self._last:
                 shift_into(target, last, by)
         return self.known
 
 
-def stacked(A: Matrix, n: int) -> Matrix:
-    """Stack bounds as rows, [A; I], for a library that has rows only."""
+def stack_bound_rows(A: Matrix, n: int) -> Matrix:
+    """Return [A; I] (m + n, n): bounds as rows, for a library without bounds."""
     return np.vstack([A, np.eye(n)])

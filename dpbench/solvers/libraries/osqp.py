@@ -9,9 +9,9 @@ import scipy
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import (
     DEFAULT,
     HIGH,
@@ -79,11 +79,11 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-read_info = info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
+read_info = make_info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
 def make_settings() -> Any:
-    """Return OSQP's settings at their defaults."""
+    """Return OSQP's default settings."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
     library.osqp_set_default_settings(settings)
@@ -94,7 +94,7 @@ def make_settings() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    status_reader(read_info),
+    make_status_reader(read_info),
     make_settings=make_settings,
     fixed={"raise_error": False},
 )
@@ -110,24 +110,27 @@ class OsqpWorkspace(NativeWorkspace):
         super().__init__(record, policy, options)
         self._library = import_module("osqp.ext_builtin")
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert P and [A; I] to OSQP's sparse columns and allocate limits."""
         csc, n, m = self._library.CSC, self._n, self._m
         self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
-        self._rows = csc(scipy.sparse.csc_matrix(stacked(self._A, n)))
+        self._rows = csc(scipy.sparse.csc_matrix(stack_bound_rows(self._A, n)))
         self._low, self._high = np.empty(m + n), np.empty(m + n)
         np.maximum(self._lb, -INFINITY, out=self._low[m:])
         np.minimum(self._ub, INFINITY, out=self._high[m:])
         self._low_rows, self._high_rows = self._low[:m], self._high[:m]
 
-    def _fill(self, low: Vector, high: Vector) -> None:
+    def _clip_row_limits(self, low: Vector, high: Vector) -> None:
+        """Write row limits into the buffers, clipped to OSQP's infinity of 1e30."""
         np.maximum(low, -INFINITY, out=self._low_rows)
         np.minimum(high, INFINITY, out=self._high_rows)
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make an OSQP solver with the options applied."""
         settings = make_settings()
         settings.verbose, settings.warm_starting = False, self._warm
-        self._configure(settings)
-        self._fill(self._l, self._u)
+        self._apply_options(settings)
+        self._clip_row_limits(self._l, self._u)
         n, m = self._n, self._m
         self._solver = self._library.OSQPSolver(
             self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
@@ -136,18 +139,21 @@ class OsqpWorkspace(NativeWorkspace):
         # osqp 1.0 never frees.
         self._solution = self._solver.solution
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        self._fill(low, high)
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and the limits of the OSQP solver, and give it the warm start."""
+        self._clip_row_limits(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._has_start():
+        if self._advance_start():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that OSQP reports."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of OSQP's solution."""
         solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]

@@ -10,7 +10,7 @@ import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, info_reader, status_reader
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
@@ -63,18 +63,18 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-read_info = info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
+read_info = make_info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
 def make_settings() -> Any:
-    """Return PIQP's settings at their defaults."""
+    """Return PIQP's default settings."""
     return import_module("piqp").DenseSolver().settings
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    status_reader(read_info),
+    make_status_reader(read_info),
     make_settings=make_settings,
 )
 
@@ -94,7 +94,8 @@ class PiqpWorkspace(NativeWorkspace):
     makes the library object anew.
     """
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Split the rows into equalities and inequalities, and convert all matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
         self._pattern = equal.tobytes()
@@ -104,25 +105,27 @@ class PiqpWorkspace(NativeWorkspace):
             as_form(self._A[rows]) if rows.size else None for rows in (self._equal, self._unequal)
         )
 
-    def _library_object(self) -> Any:
+    def _make_piqp_solver(self) -> Any:
+        """Return a new sparse or dense PIQP solver object."""
         kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
         return getattr(self._library, kind)()
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a PIQP solver and set it up; split rows again if equalities changed."""
         if (self._l == self._u).tobytes() != self._pattern:
-            self._convert()
-        solver = self._library_object()
+            self._convert_matrices()
+        solver = self._make_piqp_solver()
         solver.settings.verbose = False
-        self._configure(solver.settings)
-        limits = self._limits(self._l, self._u)
+        self._apply_options(solver.settings)
+        limits = self._row_limit_keywords(self._l, self._u)
         b, low, high = (limits.get(name) for name in ("b", "h_l", "h_u"))
         solver.setup(
             self._cost, self._q, self._equalities, b, self._rows, low, high, self._lb, self._ub
         )
         self._solver = solver
 
-    def _limits(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """Return the limits of the rows by the library's keywords."""
+    def _row_limit_keywords(self, low: Vector, high: Vector) -> dict[str, Vector]:
+        """Return the row limits as PIQP's keyword arguments b, h_l, h_u."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}
@@ -130,18 +133,21 @@ class PiqpWorkspace(NativeWorkspace):
             limits |= {"h_l": low[self._unequal], "h_u": high[self._unequal]}
         return limits
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and row limits; make a new solver if other rows are equalities."""
         if (low == high).tobytes() == self._pattern:
-            self._solver.update(c=q, **self._limits(low, high))
+            self._solver.update(c=q, **self._row_limit_keywords(low, high))
             return
-        self._build_for(q, low, high)
+        self._build_solver_for_step(q, low, high)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that PIQP reports."""
         self._result = self._solver.result
         info = self._result.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of PIQP's result."""
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -152,10 +158,11 @@ class PiqpWorkspace(NativeWorkspace):
 
 
 class MultistageWorkspace(PiqpWorkspace):
-    """PIQP with the factorisation that finds the stages of an optimal control problem."""
+    """PIQP with its stage-wise factorisation of optimal control problems."""
 
-    def _library_object(self) -> Any:
-        solver = super()._library_object()
+    def _make_piqp_solver(self) -> Any:
+        """Return a sparse PIQP solver with the stage-wise factorisation."""
+        solver = super()._make_piqp_solver()
         solver.settings.kkt_solver = self._library.sparse_multistage
         return solver
 

@@ -27,12 +27,12 @@ from dpbench.solvers.adapter import (
     Claim,
     NativeAdapter,
     QpsolversAdapter,
-    attributes,
-    info_reader,
-    status_reader,
+    list_attributes,
+    make_info_reader,
+    make_status_reader,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
@@ -84,45 +84,49 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-read_info = info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
+read_info = make_info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def list_keywords() -> list[str]:
-    """List the keywords of `proxqp.dense.solve`, whose signature is in its docstring only."""
+def list_proxqp_keywords() -> list[str]:
+    """List the option names of `proxqp.dense.solve`, parsed from its docstring."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", status_reader(read_info), list_keywords)
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "native", make_status_reader(read_info), list_proxqp_keywords
+)
 
 
 SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
 
 
 class ProxqpWorkspace(NativeWorkspace):
-    """ProxQP with rows l ≤ C x ≤ u; bounds are bounds in its dense and rows in its sparse form."""
+    """ProxQP with rows l ≤ C x ≤ u; bounds as bounds if dense, as rows if sparse."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._library = self._library.proxqp
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Allocate limit buffers; convert P and [A; I] if the form is sparse."""
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
         self._low, self._high = np.empty(m), np.empty(m)
         if self._sparse:
-            self._low, self._high = self._limits_of_all()
+            self._low, self._high = self._allocate_joint_limits()
             self._H = scipy.sparse.csc_matrix(self._P)
-            self._C = scipy.sparse.csc_matrix(stacked(self._A, n))
+            self._C = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a dense or sparse ProxQP object and set it up."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         sparse, dense = library.sparse.QP, library.dense.QP
         self._solver = sparse(n, 0, m + n) if self._sparse else dense(n, 0, m, True)
-        self._configure(self._solver.settings)
+        self._apply_options(self._solver.settings)
         if self._sparse:
             self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
         else:
@@ -130,9 +134,10 @@ class ProxqpWorkspace(NativeWorkspace):
             self._solver.init(self._P, self._q, None, None, self._A, *limits)
         self._shiftable = self._stuck = False
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and limits; shift the previous result in place as warm start."""
         if self._stuck:
-            self._build_for(q, low, high)
+            self._build_solver_for_step(q, low, high)
             return
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
@@ -142,39 +147,39 @@ class ProxqpWorkspace(NativeWorkspace):
         if self._shiftable:
             guess = self._library.InitialGuess
             solver.settings.initial_guess = guess.COLD_START_WITH_PREVIOUS_RESULT
-            if self._block:
-                self._shift_start(self._block, m, solver.results)
+            if block := self._block:
+                x, z, rows = solver.results.x, solver.results.z, rows_per_block(self._n, m, block)
+                for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
+                    shift_into(part, part.copy(), by)
 
-    def _shift_start(self, block: int, m: int, results: Any) -> None:
-        x, z, rows = results.x, results.z, rows_per_block(self._n, m, block)
-        for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
-            shift_into(part, part.copy(), by)
-
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read ProxQP's status; note a failure it would not recover from."""
         self._result = self._solver.results
         info = self._result.info
         claimed = read_info(info, info.solve_time, self._options)
         self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of ProxQP's result."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
         return z, y[:m], y[m:]
 
-    def _remember(self, solution: Solution) -> None:
+    def _store_start(self, solution: Solution) -> None:
+        """Mark ProxQP's own last result as a warm start to shift."""
         self._shiftable = True
 
 
 def make_settings() -> Any:
-    """Return ProxQP's settings at their defaults."""
+    """Return ProxQP's default settings."""
     return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
 
 
 def list_options() -> list[str]:
-    """List its settings but the initial guess, which the policy decides."""
-    return [name for name in attributes(make_settings()) if name != "initial_guess"]
+    """List ProxQP's settings except the initial guess, which the policy sets."""
+    return [name for name in list_attributes(make_settings()) if name != "initial_guess"]
 
 
 NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, list_options, make_settings)

@@ -45,13 +45,15 @@ STATUS = {
 
 
 class QocoWorkspace(OneSidedWorkspace):
-    """QOCO on A z = b, G z ≤ h."""
+    """QOCO on A z = b, G z ≤ h, through its own interface."""
 
-    def _arrange(self) -> None:
+    def _prepare_form_matrices(self) -> None:
+        """Convert P, A and G to sparse columns."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Make a QOCO solver and set it up."""
         P, A, G = self._matrices
         form = self._form
         inequalities = 0 if form.h is None else form.h.size
@@ -64,27 +66,31 @@ class QocoWorkspace(OneSidedWorkspace):
         # qoco 0.3 never frees; its own `solve()` looks 14 times.
         self._result = self._solver._solver.solution
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Update q, b and h of the QOCO solver."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call QOCO's solve function."""
         self._solver._solver.solve()
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that QOCO reports."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of QOCO's solution."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)
 
 
 def make_settings() -> Any:
-    """Return QOCO's settings at their defaults."""
+    """Return QOCO's default settings."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
     library.set_default_settings(settings)

@@ -10,10 +10,10 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import (
     Claim,
     QpsolversAdapter,
-    info_reader,
-    status_reader,
+    make_info_reader,
+    make_status_reader,
 )
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
@@ -64,54 +64,60 @@ STATUS = {
     "user cancellation": Status.ERROR,
     "error": Status.ERROR,
 }
-read_info = info_reader(STATUS, 1e9)
+read_info = make_info_reader(STATUS, 1e9)
 
 
 def make_settings() -> Any:
-    """Return the library's settings at their defaults."""
+    """Return QPALM's default settings."""
     return import_module("qpalm").Settings()
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "rows", status_reader(read_info), make_settings=make_settings
+    RECORD, "rows", make_status_reader(read_info), make_settings=make_settings
 )
 
 
 class QpalmWorkspace(NativeWorkspace):
-    """QPALM on rows [A; I]; without a start given for it, a solve begins at zero."""
+    """QPALM on rows [A; I]; without a warm start, a solve begins at zero."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert P and [A; I] to QPALM's sparse data and allocate limits."""
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
-        self._data.A = scipy.sparse.csc_matrix(stacked(self._A, n))
-        self._low, self._high = self._limits_of_all()
+        self._data.A = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
+        self._low, self._high = self._allocate_joint_limits()
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a QPALM solver from the current problem and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
         settings = make_settings()
         settings.verbose = False
-        self._configure(settings)
+        self._apply_options(settings)
         self._solver = self._library.Solver(data, settings)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and limits of the QPALM solver, and give it the warm start."""
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._has_start():
+        if self._advance_start():
             solver.warm_start(self._start.z, self._start.dual)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call QPALM synchronously."""
         self._solver.solve(asynchronous=False)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that QPALM reports."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of QPALM's solution."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()

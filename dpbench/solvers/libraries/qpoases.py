@@ -60,9 +60,10 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 
 class QpoasesWorkspace(NativeWorkspace):
-    """qpOASES on buffers of the workspace; a solve after the first is a hot start."""
+    """qpOASES through casadi's buffers; a solve after the first is a hot start."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Lay out P and A by columns for qpOASES; allocate its inputs and outputs."""
         n, m = self._n, self._m
         self._inputs = {
             "h": np.asfortranarray(self._P).ravel("K"),
@@ -74,7 +75,8 @@ class QpoasesWorkspace(NativeWorkspace):
         outputs = ("x", n), ("cost", 1), ("lam_a", m), ("lam_x", n)
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a casadi function of qpOASES and attach the buffers to it."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -87,16 +89,19 @@ class QpoasesWorkspace(NativeWorkspace):
         for i, name in enumerate(self._function.name_out()):
             if self._outputs[name].size:
                 self._buffer.set_res(i, self._outputs[name].data)
-        self._hand_over(self._q, self._l, self._u)
+        self._update_vectors(self._q, self._l, self._u)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Copy q and row limits into the input buffers of qpOASES."""
         inputs = self._inputs
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call qpOASES on the attached buffers."""
         self._trigger()
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read return status and iterations of qpOASES; NaN costs are failures."""
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
@@ -104,7 +109,8 @@ class QpoasesWorkspace(NativeWorkspace):
             return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
-    def _read_point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return z, y and y_box; None if the status is unknown."""
         # Without a reason for a failure, x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
             return None
@@ -113,7 +119,7 @@ class QpoasesWorkspace(NativeWorkspace):
 
 
 def list_options() -> list[str]:
-    """List qpOASES's options as casadi documents them."""
+    """List qpOASES's option names from casadi's documentation text."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 

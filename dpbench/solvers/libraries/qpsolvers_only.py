@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, attributes, keywords
+from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, list_attributes, list_keywords
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import (
     NAN_FAULTS,
@@ -22,10 +22,7 @@ CONEQP_MAXITERS = 100
 
 
 def read_coneqp_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read status and iterations of `coneqp`, which reports no time.
-
-    Its "unknown" is the iteration limit or a breakdown of the factorisation.
-    """
+    """Read CVXOPT's status and iterations; "unknown" is the iteration limit or a breakdown."""
     name, iterations = str(answer.extras["status"]), int(answer.extras["iterations"])
     if name == "optimal":
         status = Status.SOLVED
@@ -106,7 +103,7 @@ ECOS_KEYS = (
 
 
 def read_ecos_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read exit flag, iterations and the run time with set-up, in seconds."""
+    """Read ECOS's status, iterations and run time with set-up from a qpsolvers solution."""
     info = answer.extras
     status = ECOS_STATUS.get(int(info["exitFlag"]), Status.UNKNOWN)
     took_ns = round(info["timing"]["runtime"] * 1e9)
@@ -138,7 +135,7 @@ ECOS = QpsolversAdapter(
 
 
 def read_qpmad_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read the iterations; only an answer that was found has extras."""
+    """Read qpmad's iterations from a qpsolvers solution, which only solved ones have."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["num_iterations"]))
 
 
@@ -179,7 +176,7 @@ QTQP_STATUS = {
 
 
 def read_qtqp_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read the status, and the iterations where `collect_stats` makes a row of each."""
+    """Read QTQP's status, and iterations if its statistics are on, from a qpsolvers solution."""
     name, rows = str(answer.extras["status"].value), answer.extras["stats"]
     status = QTQP_STATUS.get(name, Status.UNKNOWN)
     return ClaimedStatus(status, len(rows) if rows else -1, detail=name)
@@ -211,7 +208,7 @@ QTQP = QpsolversAdapter(
     ),
     "rows",
     read_qtqp_status,
-    lambda: keywords("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
+    lambda: list_keywords("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
 )
 
 
@@ -230,7 +227,7 @@ SIP_GROUPS = ("barrier", "line_search", "penalty", "regularization", "scaling", 
 
 
 def read_sip_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read status and iterations."""
+    """Read SIP's status and iterations from a qpsolvers solution."""
     info = answer.extras["sip_output"]
     name = info.exit_status.name
     status = SIP_STATUS.get(name, Status.UNKNOWN)
@@ -238,14 +235,14 @@ def read_sip_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 def list_sip_options() -> list[str]:
-    """List plain settings, and the members of each group as "group.name"."""
+    """List SIP's option names; members of a settings group as "group.name"."""
     settings = import_module("sip_qp_python").Settings()
     # qpsolvers reads the first three before it looks at SIP's own settings.
     names = ["eps_abs", "eps_rel", "time_limit"]
-    names += [n for n in attributes(settings.sip) if n not in SIP_GROUPS and n != "logging"]
+    names += [n for n in list_attributes(settings.sip) if n not in SIP_GROUPS and n != "logging"]
     for group in SIP_GROUPS:
         members = getattr(settings if hasattr(settings, group) else settings.sip, group)
-        names += [f"{group}.{name}" for name in attributes(members)]
+        names += [f"{group}.{name}" for name in list_attributes(members)]
     return names
 
 
@@ -283,7 +280,7 @@ QPAX_MAX_ITER = 30
 
 
 def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read the iterations; the iteration limit is the only reason it reports for a failure."""
+    """Read qpax's status and iterations; a failure at the limit is MAX_ITERATIONS."""
     iterations = int(answer.extras["info"]["iterations"])
     if bool(answer.found):
         return ClaimedStatus(Status.SOLVED, iterations)
@@ -292,7 +289,7 @@ def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 def use_double_precision() -> None:
-    """Set JAX to double precision; its default is single precision."""
+    """Switch JAX to double precision; its default is single precision."""
     import_module("jax").config.update("jax_enable_x64", True)
 
 
@@ -334,7 +331,7 @@ JAXOPT_STRUCTURE = ("matvec_Q", "matvec_A", "fun", "verbose", "jit", "unroll")
 
 
 def read_jaxopt_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read status and iterations."""
+    """Read JAXopt's status and iterations from a qpsolvers solution."""
     status = JAXOPT_STATUS.get(int(answer.extras["status"]), Status.UNKNOWN)
     return ClaimedStatus(status, int(answer.extras["iter_num"]))
 
@@ -354,6 +351,6 @@ JAXOPT = replace(
         ),
     ),
     read_status=read_jaxopt_status,
-    list_options=lambda: keywords("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
+    list_options=lambda: list_keywords("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
     qpsolvers_name="jaxopt_osqp",
 )

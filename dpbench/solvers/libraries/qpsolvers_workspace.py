@@ -29,10 +29,7 @@ IGNORE_ALL = ("ignore", None, Warning, None, 0)
 
 
 class QpsolversWorkspace(Workspace):
-    """A library behind qpsolvers; under `warm` the previous answer, one move later, is the start.
-
-    `options` are keyword arguments of the library, already validated.
-    """
+    """A solver called through qpsolvers, which sets the library up anew at every solve."""
 
     def __init__(self, adapter: QpsolversAdapter, policy: Policy, options: Options) -> None:
         super().__init__(adapter.record.name, "qpsolvers", policy)
@@ -46,37 +43,39 @@ class QpsolversWorkspace(Workspace):
         self._last: np.ndarray | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Convert `qp` into the library's form; forget every earlier answer."""
+        """Convert `qp` into the library's form and discard earlier answers."""
         self.reset()
-        self._prepare(qp.copy())
+        self._convert_problem(qp.copy())
 
-    def _prepare(self, qp: QuadraticProgram) -> None:
+    def _convert_problem(self, qp: QuadraticProgram) -> None:
+        """Store `qp` and convert it into the one-sided form of the library."""
         self._base = qp
         self._form = OneSidedForm(qp, self.form, self._adapter.box)
-        self._fill(qp.q, qp.l, qp.u)
+        self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
 
-    def _fill(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Write q and row limits into a new `qpsolvers.Problem`."""
         form = self._form
         form.fill(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
 
     def update(self, step: QPStep) -> None:
-        """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
+        """Take over the vectors; convert again if matrices or the limit pattern change."""
         base = self._base
         if base is None:
             raise missing_setup_error("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
-            self._start = self._shifted_start(base.block)
+            self._start = self._shift_last_answer(base.block)
         vectors_only = step.refresh is Refresh.VECTORS
         self.matrix_updates += not vectors_only
-        if vectors_only and self._form.fits(step.l, step.u):
-            self._fill(step.q, step.l, step.u)
+        if vectors_only and self._form.has_same_pattern(step.l, step.u):
+            self._build_qpsolvers_problem(step.q, step.l, step.u)
         else:
-            self._prepare(base.at(step).copy())
+            self._convert_problem(base.at(step).copy())
 
-    def _shifted_start(self, block: int) -> np.ndarray | None:
-        """Return the previous answer one move later; None without a usable one."""
+    def _shift_last_answer(self, block: int) -> np.ndarray | None:
+        """Return the previous z shifted by one block; None without one."""
         if self._unread:
             self.read()
         if self._last is None or block == 0:
@@ -86,24 +85,25 @@ class QpsolversWorkspace(Workspace):
         return start
 
     def solve(self) -> None:
-        """Solve; store whatever the library raises for `read`."""
+        """Call qpsolvers; store whatever the library raises, for `read` to report."""
         self._answer, self._unread = None, True
         try:
             # Where all warnings are ignored already, as in a worker, a context costs time.
             if warnings.filters[:1] == [IGNORE_ALL]:
-                self._answer = self._call()
+                self._answer = self._run_solver()
             else:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    self._answer = self._call()
+                    self._answer = self._run_solver()
         except BaseException as error:
             self._failure = describe_exception(error)
 
-    def _call(self) -> Any:
+    def _run_solver(self) -> Any:
+        """Call `qpsolvers.solve_problem` with the warm start and the options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
-        """Return the answer with its multipliers mapped to the two-sided problem."""
+        """Return the answer, with multipliers mapped to the two-sided problem."""
         if self._base is None:
             raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
@@ -111,7 +111,7 @@ class QpsolversWorkspace(Workspace):
         answer = self._answer
         if answer is None:
             return Solution.missing(n, m, Status.ERROR, self._failure)
-        status, iterations, reported_ns, detail = self._adapter.claimed_status(
+        status, iterations, reported_ns, detail = self._adapter.read_claimed_status(
             answer, self._options
         )
         if status is Status.SOLVED:
@@ -122,13 +122,13 @@ class QpsolversWorkspace(Workspace):
             solution.iterations, solution.reported_ns = iterations, reported_ns
             return solution
         z = np.array(answer.x, dtype=np.float64)
-        pair = self._form.multipliers(answer.z, answer.y, answer.z_box)
+        pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
         if self.policy == "warm" and status.is_usable and np.isfinite(z).all():
             self._last = z.copy()
         return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 
     def reset(self) -> None:
-        """Forget every earlier answer."""
+        """Discard the answer and the warm start."""
         self._answer, self._failure, self._unread = None, "read before solve", False
         self._start = self._last = None

@@ -37,7 +37,7 @@ RECORD = SolverRecord(
 
 
 def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read the count of rows added; only an answer that was found has extras."""
+    """Read quadprog's iterations from a qpsolvers solution, which only solved ones have."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
@@ -60,7 +60,7 @@ STATUS = {
 
 
 class QuadprogWorkspace(OneSidedWorkspace):
-    """quadprog on Cᵀ z ≥ b; it has no state, so `reuse` means P = RᵀR comes as R⁻¹."""
+    """quadprog on Cᵀ z ≥ b; policy reuse keeps the inverse Cholesky factor of P."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
@@ -68,30 +68,34 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._linalg = import_module("scipy.linalg")
         self._status, self._words = Status.UNKNOWN, ""
 
-    def _arrange(self) -> None:
-        rows, equalities, _ = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Stack [A; −G] transposed as quadprog takes it; allocate b."""
+        rows, equalities, _ = self._stack_form_rows()
         rows[equalities:] *= -1.0
         self._C = np.asfortranarray(rows.T) if rows.size else None
         self._b = np.empty(rows.shape[0]) if rows.size else None
         self._equalities, self._a = equalities, np.empty(self._n)
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Invert the Cholesky factor of P unless the policy is fresh."""
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
         if self._factorized:
             upper = self._linalg.cholesky(self._P, lower=False)
             inverse = self._linalg.solve_triangular(upper, np.eye(self._n), lower=False)
             self._matrix = np.asfortranarray(inverse)
-        self._send()
+        self._send_form_vectors()
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Write −q and the limits [b; −h] into quadprog's arguments."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
         if self._b is not None:
             self._b[:count] = form.bh[:count]
             np.negative(form.bh[count:], out=self._b[count:])
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call quadprog; convert its ValueError into a status."""
         self._result = None
         try:
             self._result = self._solve_qp(
@@ -101,12 +105,14 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read quadprog's iterations, or the status of its error."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
-    def _read_point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return z, y and y_box of quadprog's result; None after an error."""
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result

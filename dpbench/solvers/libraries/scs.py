@@ -70,7 +70,7 @@ OPTION_NAMES = (
 
 
 def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """Make the claim of SCS's information about a solve."""
+    """Convert SCS's info into status, iterations, time [ns] and text; name the limit reached."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
@@ -81,7 +81,7 @@ def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Read status, iterations and the sum of set-up and solve time."""
+    """Read SCS's status, iterations and time with set-up from a qpsolvers solution."""
     info = answer.extras
     return make_claim(info, info["setup_time"] + info["solve_time"])
 
@@ -92,8 +92,9 @@ THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION
 class ScsWorkspace(OneSidedWorkspace):
     """SCS on [A; G] z + s = [b; h]; `warm` gives it x, y and the slacks s that go with x."""
 
-    def _arrange(self) -> None:
-        rows, equalities, inequalities = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Convert P and [A; G] to sparse columns, with a zero row if empty."""
+        rows, equalities, inequalities = self._stack_form_rows()
         self._empty = not rows.size
         if self._empty:
             # It wants a cone: one row 0 z ≤ 0 limits nothing.
@@ -105,36 +106,42 @@ class ScsWorkspace(OneSidedWorkspace):
         self._b = np.zeros(1) if self._empty else self._form.bh
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Make an SCS solver from data, cone and options."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        super()._hand_over(q, low, high)
-        if not self._has_start():
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update the vectors; convert the warm start into SCS's y and slacks."""
+        super()._update_vectors(q, low, high)
+        if not self._advance_start():
             return
         self._given, start = True, self._start
         if not self._empty:
-            self._form.split(start.y, start.y_box, self._y)
+            self._form.split_multipliers(start.y, start.y_box, self._y)
             np.subtract(self._b, self._dense_rows @ start.z, out=self._s)
             np.maximum(self._s, 0.0, out=self._s)
             self._s[: self._equalities] = 0.0
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Update b and c of the SCS solver."""
         self._solver.update(b=self._b, c=self._form.q)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call SCS with a warm start if there is one."""
         if self._given:
             self._result = self._solver.solve(True, self._start.z, self._y, self._s)
         else:
             self._result = self._solver.solve(False)
 
-    def _read_claim(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that SCS reports."""
         info = self._result["info"]
         return make_claim(info, info["solve_time"])
 
-    def _read_point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return z, y and y_box of SCS's result."""
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)

@@ -54,30 +54,33 @@ WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
 """Those that are compiled: `primed`."""
 
 
-def _paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.paper_active_set import PaperActiveSet
+def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open the paper's active-set solver, which has no options."""
+    from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
-    return PaperActiveSet(record.name, "native", policy)
-
-
-def _hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.hildreth import Hildreth, HildrethSettings
-
-    return Hildreth(record.name, "native", policy, HildrethSettings.of(options))
+    return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
-def _unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.unconstrained import Unconstrained
+def _open_hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open Hildreth's method with the given options."""
+    from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
-    return Unconstrained(record.name, "native", policy)
+    return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
+
+
+def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open the unconstrained law, which has no options."""
+    from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
+
+    return UnconstrainedWorkspace(record.name, "native", policy)
 
 
 OWN = {
     adapter.record.name: adapter
     for adapter in (
-        NativeAdapter(PAPER_ACTIVE_SET, _paper_active_set, lambda: ()),
-        NativeAdapter(HILDRETH, _hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
-        NativeAdapter(UNCONSTRAINED_CLIPPED, _unconstrained, lambda: ()),
+        NativeAdapter(PAPER_ACTIVE_SET, _open_paper_active_set, lambda: ()),
+        NativeAdapter(HILDRETH, _open_hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
+        NativeAdapter(UNCONSTRAINED_CLIPPED, _open_unconstrained, lambda: ()),
     )
 }
 """By the name of the solver."""

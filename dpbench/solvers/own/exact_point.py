@@ -26,13 +26,13 @@ entry: √2 · 1.8e-15 = 2.6e-15.
 >>> meeting = [[3, 0], [1, 1]], -free, [1, 1], -free, free
 >>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-2, -2], *meeting))
 >>> z, limit = np.array([1 / 3, 2 / 3]), np.array([1.0, 1.0, inf, inf])
->>> moved = _Moved.onto(problem, z, np.array([0, 1]), limit)
+>>> moved = _ExactPoint.move_onto_limits(problem, z, np.array([0, 1]), limit)
 >>> unit = Fraction(2) ** moved.exponent / moved.denominator
 >>> delta = dict(zip(moved.columns.tolist(), [int(x) * unit for x in moved.step], strict=True))
 >>> delta == {0: Fraction(1, 3 * 2**54), 1: Fraction(2, 3 * 2**54)}
 True
->>> moved.above(0, 1.0), moved.above(1, 1.0), moved.above(1, 1.0 + 2**-52) == -(2**-52)
-(0.0, 0.0, True)
+>>> [moved.excess_over(row, limit) for row, limit in ((0, 1.0), (1, 1.0), (1, 1.0 + 2**-52))]
+[0.0, 0.0, -2.220446049250313e-16]
 >>> 2.6e-15 < error_bound(problem, z, np.array([1 / 9, 4 / 3, 0.0, 0.0])) < 4e-15
 True
 
@@ -66,18 +66,16 @@ from dpbench.solvers.own.active_set.check import EPSILON, WRONG
 from dpbench.solvers.own.active_set.factor import VIOLATED
 from dpbench.solvers.own.active_set.kernel import solve_step
 from dpbench.solvers.own.active_set.start import STEEP
-from dpbench.solvers.own.proof import INDEPENDENT, apart, solve_carefully
+from dpbench.solvers.own.proof import INDEPENDENT, has_independent_rows, solve_carefully
 
 LARGEST = 40
 """Equations to be solved in exact arithmetic, which takes 0.1 s for as many."""
 
 
 def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
-    """Return a bound of max_i |z_i − z*_i|.
+    """Bound max_i |z_i − z*_i| by an exact point z′ near z.
 
-    inf where there is no such z′ or λ names a limit there is not.
-
-    NaN where there are more than `LARGEST` equations.
+    inf where there is no such z′ or λ names an infinite limit; NaN beyond `LARGEST` equations.
 
     Parameters
     ----------
@@ -92,24 +90,21 @@ def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
     held = np.flatnonzero(select_independent(problem.C, signs, np.sign(lam).astype(np.int8)))
     if len(held) > LARGEST:
         return nan
-    exact = _Moved.onto(problem, z, held, limit)
-    if exact is None or not exact.feasible(near):
+    exact = _ExactPoint.move_onto_limits(problem, z, held, limit)
+    if exact is None or not exact.is_feasible(near):
         return inf
-    gap = sum(abs(lam[i]) * abs(exact.above(i, limit[i])) for i in near[lam[near] != 0.0])
-    return _distance(problem, z, lam, float(gap)) + exact.size()
+    gap = sum(abs(lam[i]) * abs(exact.excess_over(i, limit[i])) for i in near[lam[near] != 0.0])
+    return _distance_bound(problem, z, lam, float(gap)) + exact.size()
 
 
-def is_regular(problem: JointQP, z: Vector) -> bool:
-    """Whether the limits that z meets are at angles of more than `STEEP` to one another.
-
-    Then rounding moves the vertex they make by little, and there is a z′ near z.
-    """
-    return apart(problem.C[find_met_limits(problem, z) != 0], STEEP)
+def is_regular_vertex(problem: JointQP, z: Vector) -> bool:
+    """Return whether z's limits meet at angles above `STEEP`, so that rounding moves z little."""
+    return has_independent_rows(problem.C[find_met_limits(problem, z) != 0], STEEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Moved:
-    """z′ = z + δ exactly; δ = step·2^exponent / denominator on `columns`, zero elsewhere."""
+class _ExactPoint:
+    """An exact rational point z′ = z + δ, δ = step·2^exponent / denominator on `columns`."""
 
     problem: JointQP
     z: Dyadic
@@ -119,10 +114,12 @@ class _Moved:
     exponent: int
 
     @classmethod
-    def onto(cls, problem: JointQP, z: Vector, held: Indices, limit: Vector) -> _Moved | None:
-        """Find the nearest z′ along some variables with C_B z′ = limits on the rows B `held`."""
-        start, columns = Dyadic.of(z), _pivots(problem.C[held])
-        held = held[_row_order(problem.C[np.ix_(held, columns)])]
+    def move_onto_limits(
+        cls, problem: JointQP, z: Vector, held: Indices, limit: Vector
+    ) -> _ExactPoint | None:
+        """Move z exactly onto the limits of the rows `held`; None if singular."""
+        start, columns = Dyadic.of(z), _pivot_columns(problem.C[held])
+        held = held[_elimination_order(problem.C[np.ix_(held, columns)])]
         K = Dyadic.of(problem.C[np.ix_(held, columns)])
         missing = Dyadic.of(limit[held]) - Dyadic.of(problem.C[held]) @ start
         solved = solve_integer(K.whole, missing.whole[:, np.newaxis])
@@ -132,12 +129,12 @@ class _Moved:
         return cls(problem, start, columns, step, denominator, missing.exponent - K.exponent)
 
     def size(self) -> float:
-        """max_i |δ_i|."""
+        """Return the largest shift, max_i |δ_i|."""
         unit = Fraction(2) ** self.exponent / self.denominator
         return max((abs(float(int(x) * unit)) for x in self.step), default=0.0)
 
-    def above(self, row: int, limit: float) -> float:
-        """How far C z′ of one row is above a limit, rounded once."""
+    def excess_over(self, row: int, limit: float) -> float:
+        """Return C z′ minus a limit for one row, rounded once."""
         C = Dyadic.of(self.problem.C[[row]])
         over = C @ self.z - Dyadic.of(np.array([limit]))
         along = C.whole[0, self.columns] @ self.step if len(self.step) else 0
@@ -145,26 +142,26 @@ class _Moved:
         unit = Fraction(2) ** (C.exponent + self.exponent) / self.denominator
         return float(value + int(along) * unit)
 
-    def feasible(self, rows: Indices) -> bool:
-        """Whether z′ satisfies both limits of each of `rows`."""
+    def is_feasible(self, rows: Indices) -> bool:
+        """Return whether z′ satisfies both limits of each of `rows` exactly."""
         L, U = self.problem.L, self.problem.U
         for i in rows:
-            if U[i] < inf and self.above(i, U[i]) > 0.0:
+            if U[i] < inf and self.excess_over(i, U[i]) > 0.0:
                 return False
-            if L[i] > -inf and self.above(i, L[i]) < 0.0:
+            if L[i] > -inf and self.excess_over(i, L[i]) < 0.0:
                 return False
         return True
 
 
-def _pivots(C: Matrix) -> Indices:
-    """As many columns as rows, on which the rows are independent."""
+def _pivot_columns(C: Matrix) -> Indices:
+    """Return as many columns as rows, on which the rows are independent."""
     if not len(C):
         return np.array([], dtype=np.intp)
     _, order = scipy.linalg.qr(C, mode="r", pivoting=True)
     return np.asarray(order[: len(C)], dtype=np.intp)
 
 
-def _row_order(square: Matrix) -> Indices:
+def _elimination_order(square: Matrix) -> Indices:
     """Return the order of rows in which elimination meets no zero pivot."""
     if not len(square):
         return np.array([], dtype=np.intp)
@@ -172,8 +169,8 @@ def _row_order(square: Matrix) -> Indices:
     return np.argsort(permutation)
 
 
-def _distance(problem: JointQP, z: Vector, lam: Vector, gap: float) -> float:
-    """Bound |z_i − z*_i| by the inequality. r comes with all that rounding may have added to it."""
+def _distance_bound(problem: JointQP, z: Vector, lam: Vector, gap: float) -> float:
+    """Bound max_i |z_i − z*_i| from the duality gap and the gradient residual r."""
     P, C = problem.P, problem.C
     r = P @ z + problem.q + lam @ C
     terms = np.abs(P) @ np.abs(z) + np.abs(problem.q) + np.abs(lam) @ np.abs(C)
@@ -191,35 +188,30 @@ HALVES = 6
 """Ways of halving the rows: any two of the 64 nearest their limits are apart in one of them."""
 
 
-def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
-    """Whether the answer in S follows limits that are moved by little; S is left as it was.
-
-    Parameters
-    ----------
-    S : of `active_set.layout`, with an answer to `qp`.
-    """
+def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
+    """Return whether the answer in the work array follows small shifts of limits and cost."""
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]
     before = vectors.copy(), factor.copy()
     z = S[layout.Z, : qp.n].copy()
     posed = JointQP.of(qp)
     columns = np.concatenate([n_pad + np.arange(qp.m), np.arange(qp.n)])
-    far = _reach(posed, z, S[layout.UNIT, columns])
+    far = _limit_shifts(posed, z, S[layout.UNIT, columns])
     if far is None:
         return True
     inverse = S[layout.VECTORS : layout.VECTORS + qp.n, : qp.n]
-    allowed = MOVED * WRONG * unit_of(qp)
+    allowed = MOVED * WRONG * error_units(qp)
     lam = S[layout.LAM, columns]
-    along, start = _push(posed, z, lam, inverse), np.sign(lam)
+    along, start = _worst_cost_shift(posed, z, lam, inverse), np.sign(lam)
     try:
-        for k, sides in enumerate(_sides(posed, z)):
+        for k, sides in enumerate(_list_shift_signs(posed, z)):
             S[layout.Q, : qp.n] = qp.q + (along if k % 2 else -along)
             S[layout.LOW, columns] = posed.L - sides * far
             S[layout.HIGH, columns] = posed.U + sides * far
             ending = solve_step(S)
             # The careful method takes a second at n = 200: it is asked where all limits move.
             if ending != layout.UNDECIDED or k < 2:
-                followed = _answer(S, qp, columns, ending, start)
+                followed = _read_or_solve_answer(S, qp, columns, ending, start)
                 if not (np.abs(followed - z) <= allowed).all():
                     return True
             vectors[:], factor[:] = before
@@ -228,22 +220,16 @@ def is_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
         vectors[:], factor[:] = before
 
 
-def unit_of(qp: QuadraticProgram) -> Vector:
-    """Return the unit of each variable's error (n,): half of what its bounds leave it.
-
-    In scaled units that is 1, a rate-limit step. Where there is no bound, or less room, it is 1.
-    """
+def error_units(qp: QuadraticProgram) -> Vector:
+    """Return the unit of each variable's error (n,): half its bound range, at least 1."""
     half = 0.5 * (qp.ub - qp.lb)
     return np.where(np.isfinite(half), np.maximum(half, 1.0), 1.0)
 
 
-def _answer(
+def _read_or_solve_answer(
     S: Matrix, qp: QuadraticProgram, columns: Indices, ending: int, start: Vector
 ) -> Vector:
-    """Read the answer to the problem in S, on which `solve_step` ended so.
-
-    NaN where there is none.
-    """
+    """Return z for the moved problem in S, solved carefully if undecided; NaN if none."""
     if ending >= 0 or ending == layout.DOUBTFUL:
         return S[layout.Z, : qp.n]
     if ending == layout.UNDECIDED:
@@ -255,13 +241,11 @@ def _answer(
     return np.full(qp.n, np.nan)
 
 
-def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
-    """Return how far each row's limits are moved.
+def _limit_shifts(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
+    """Return how far to move each row's limits, (N,); None if narrow rows are in doubt.
 
-    None if those that cannot be moved as far are in doubt: violated, or dependent on one another.
-
-    A row does not cross itself; one with equal limits stays, as `pinned.py` decides whether such
-    rows depend on one another.
+    In doubt: those that cannot be moved as far and are violated or dependent on one another. A row
+    does not cross itself; one with equal limits stays (`proof.has_consistent_equalities`).
     """
     value = posed.C @ z
     rounding = VIOLATED * (np.abs(value) + np.linalg.norm(value * unit) / unit)
@@ -272,13 +256,13 @@ def _reach(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
     narrow = room < far
     if (violation > OFF * rounding)[narrow].any():
         return None
-    if (room[narrow] > 0.0).any() and not apart(posed.C[narrow], INDEPENDENT):
+    if (room[narrow] > 0.0).any() and not has_independent_rows(posed.C[narrow], INDEPENDENT):
         return None
     return np.minimum(far, room)
 
 
-def _push(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
-    """How far the cost is moved, with the signs by which the free optimum would follow most."""
+def _worst_cost_shift(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
+    """Return the bounded change of q that moves the unconstrained optimum most."""
     terms = np.abs(posed.q) + np.abs(posed.P) @ np.abs(z) + np.abs(lam) @ np.abs(posed.C)
     r = posed.q + posed.P @ z + lam @ posed.C
     size = MOVED * np.maximum(EPSILON * terms, np.abs(r))
@@ -286,8 +270,8 @@ def _push(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
     return np.asarray(np.sign(inverse[most]) * size)
 
 
-def _sides(posed: JointQP, z: Vector) -> list[Vector]:
-    """−1 for a row that is tightened, +1 for one that is widened: all, and half against half."""
+def _list_shift_signs(posed: JointQP, z: Vector) -> list[Vector]:
+    """List sign vectors (N,): −1 tightens a row, +1 widens it; all rows, then halves."""
     value = posed.C @ z
     nearest = np.argsort(np.minimum(posed.U - value, value - posed.L), kind="stable")
     place = np.empty_like(nearest)

@@ -8,16 +8,17 @@ import numpy as np
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.own import hildreth
-from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
 __all__ = ["hildreth"]
 
 
-def _prime() -> None:
+def _load_kernels() -> None:
+    """Solve a QP of one variable, so that the kernels are compiled or loaded."""
     one = np.ones(1)
-    workspace = PaperActiveSet("paper_active_set", "native", "reuse")
+    workspace = PaperActiveSetWorkspace("paper_active_set", "native", "reuse")
     workspace.setup(QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one))
     workspace.solve()
 
 
-_prime()
+_load_kernels()

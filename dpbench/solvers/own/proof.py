@@ -1,25 +1,20 @@
-"""Proofs in floating point that a problem has no feasible point.
+"""Decisions that rounding makes hard: infeasibility, dependent equalities, nearly parallel rows.
+
+A Farkas ray (y, y_box) proves that a problem has no feasible point, in exact arithmetic, if
 
     Aᵀy + y_box = 0,   Σ u y⁺ − Σ l y⁻ + Σ ub y_box⁺ − Σ lb y_box⁻ < 0
 
-The referee decides such proofs exactly; a solver's own data have been rounded on the way, so that
-it has to say what it takes for zero.
+The referee checks this exactly. A solver's data have been rounded, so it needs tolerances for zero.
 
-Whether rows with equal limits that depend on one another do so to the last bit.
+A row with equal limits that is a combination of others only up to rounding counts as independent
+and fixes one point more, which rounding decides; an exact combination with another limit leaves no
+point. No floating-point answer is the optimum then, whatever its residuals, so combinations
+rest = r · basis are computed in long double.
 
-A row that is a combination of others but for rounding is, taken for exact, independent of them: it
-asks for one point more, and rounding decides which. One that is a combination exactly, but has
-another limit, leaves no point at all. No answer computed in floating point from such rows is their
-optimum, however well it meets the optimality conditions.
+The careful solver finds the active set on an orthogonal factorisation (`qp/dual_active_set.py`),
+which separates rows at an angle of 1e-10, and refines the answer on it:
 
-    rest = r · basis   in long double
-
-The active-set method on an orthogonal factorisation, for what rounding keeps the fast one from.
-
-`qp/dual_active_set.py` finds the set without ever forming products of rows, so that rows at an
-angle of 1e-10 are still told apart; this module refines the answer on the set and reports.
-
-    refinement:  P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
+    P δz + M_Wᵀ δλ = −(P z + q + Mᵀλ),   M_W δz = g − M_W z
 """
 
 from dataclasses import dataclass
@@ -46,14 +41,14 @@ FAR = 1e6
 variable has no bound to absorb what does not cancel."""
 
 
-def contradicts(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Whether (y, y_box) proves `qp` infeasible, but for rounding; see `is_proof`."""
-    return bool(is_proof(qp.A, qp.l, qp.u, qp.lb, qp.ub, y, y_box))
+def proves_infeasible(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
+    """Return whether (y, y_box) proves `qp` infeasible, up to rounding."""
+    return bool(is_infeasibility_proof(qp.A, qp.l, qp.u, qp.lb, qp.ub, y, y_box))
 
 
 @njit("void(f8[:], f8[:])", cache=True)
-def clean(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
-    """Take the entries of a ray that are rounding out of it."""
+def drop_ray_rounding(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
+    """Set entries of a Farkas ray to zero that are rounding, relative to its largest."""
     most = 0.0
     for part in (y, y_box):
         for i in range(len(part)):
@@ -64,8 +59,8 @@ def clean(y, y_box):  # type: ignore[no-untyped-def] # compiled by numba
 
 
 @njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
-def _reach(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
-    """Return the largest sum along a ray that limits allow, and the size of its terms."""
+def _largest_sum_along_ray(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
+    """Return Σ ray·limit, the largest value the limits allow, and Σ |terms|."""
     reach, size = 0.0, 0.0
     for i in range(len(ray)):
         if ray[i] != 0.0:
@@ -75,8 +70,8 @@ def _reach(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
 
 
 @njit("b1(f8[:, :], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])", cache=True, error_model="numpy")
-def is_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
-    """Whether (y, y_box) proves that l ≤ A z ≤ u and lb ≤ z ≤ ub have no point, but for rounding.
+def is_infeasibility_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
+    """Return whether (y, y_box) proves the limits infeasible, up to rounding.
 
     Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the
     limits allow the sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms,
@@ -96,7 +91,7 @@ def is_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa:
         if abs(ub[k] if box[k] > 0.0 else lb[k]) == np.inf:
             unbounded += abs(box[k])
             box[k] = 0.0
-    of_rows, of_bounds = _reach(y, l, u), _reach(box, lb, ub)
+    of_rows, of_bounds = _largest_sum_along_ray(y, l, u), _largest_sum_along_ray(box, lb, ub)
     size = of_rows[1] + of_bounds[1]
     return of_rows[0] + of_bounds[0] < -(PROVEN + FAR * unbounded / most) * size
 
@@ -109,8 +104,8 @@ LONG_ROUNDS = 4
 """Of refinement of r; each gains the digits that a condition of 1 / `INDEPENDENT` has left."""
 
 
-def determined(qp: QuadraticProgram) -> bool:
-    """Whether the rows of [A; I] with equal limits are independent, or exactly redundant.
+def has_consistent_equalities(qp: QuadraticProgram) -> bool:
+    """Return whether equality rows of [A; I] are independent or exactly redundant.
 
     Where long double is no longer than double, rows redundant to rounding count as exactly so.
     """
@@ -123,11 +118,11 @@ def determined(qp: QuadraticProgram) -> bool:
     R, order = scipy.linalg.qr(rows.T / length, mode="r", pivoting=True)
     rank = int(np.count_nonzero(np.abs(np.diagonal(R)) > INDEPENDENT))
     both = np.column_stack([rows, limits])
-    return _redundant(both[order[:rank]], both[order[rank:]])
+    return _has_only_redundant_rows(both[order[:rank]], both[order[rank:]])
 
 
-def apart(rows: Matrix, share: float) -> bool:
-    """Whether no row is a combination of others, but for that share of its length or less."""
+def has_independent_rows(rows: Matrix, share: float) -> bool:
+    """Return whether no row depends on others but for `share` of its length."""
     rows = rows[rows.any(axis=1)]
     if len(rows) > rows.shape[1]:
         return False
@@ -135,8 +130,8 @@ def apart(rows: Matrix, share: float) -> bool:
     return bool((np.abs(np.diagonal(R)) > share).all())
 
 
-def _redundant(basis: Matrix, rest: Matrix) -> bool:
-    """Whether the rows of `rest` are exact combinations of those of `basis`, limits included."""
+def _has_only_redundant_rows(basis: Matrix, rest: Matrix) -> bool:
+    """Return whether each row of `rest` is an exact combination of `basis` rows."""
     Q, R = np.linalg.qr(basis[:, :-1].T)
     exact, target = basis.astype(np.longdouble), rest.astype(np.longdouble)
     r = np.zeros((len(rest), len(basis)), dtype=np.longdouble)
@@ -160,7 +155,7 @@ ROUNDS = 5
 def solve_carefully(
     qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
 ) -> Solution:
-    """Solve `qp`, whose P is positive definite and whose data are finite or limits.
+    """Solve a strictly convex QP by the active-set method on an orthogonal factorisation.
 
     Parameters
     ----------
@@ -170,15 +165,15 @@ def solve_carefully(
     """
     try:
         M = np.vstack([qp.A, np.eye(qp.n)])
-        problem = _Problem(qp, M, *qp.limits(), Projection.of(qp.P, M))
-        return problem.answer(start, contradiction)
+        problem = _ProjectedProblem(qp, M, *qp.limits(), Projection.of(qp.P, M))
+        return problem.solve(start, contradiction)
     except np.linalg.LinAlgError as error:
         return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, str(error))
 
 
 @dataclass(eq=False)
-class _Problem:
-    """The problem with its rows M = [A; I] and their limits, and as a projection."""
+class _ProjectedProblem:
+    """A QP with its rows M = [A; I] and limits, and the projection that solves it."""
 
     qp: QuadraticProgram
     M: Matrix
@@ -186,8 +181,8 @@ class _Problem:
     upper: Vector
     projection: Projection
 
-    def answer(self, start: Vector | None, contradiction: float) -> Solution:
-        """Run the method, refine where it ended, and say how it ended."""
+    def solve(self, start: Vector | None, contradiction: float) -> Solution:
+        """Solve by the active-set method and refine the answer on the final set."""
         n, m = self.qp.n, self.qp.m
         outcome = self.projection.solve(
             self.qp.q, self.lower, self.upper, start=start, contradiction=contradiction
@@ -196,27 +191,29 @@ class _Problem:
         if outcome.ending is Ending.INFEASIBLE:
             z, detail = np.full(n, np.nan), "y and y_box are a Farkas ray"
         else:
-            z, lam = self._refined(outcome, lam)
+            z, lam = self._refine_solution(outcome, lam)
             detail = "" if outcome.ending is Ending.OPTIMAL else outcome.ending.value
         status = STATUS[outcome.ending]
         return Solution(status, z, lam[:m], lam[m:], outcome.iterations, detail=detail)
 
-    def _refined(self, outcome: Outcome, lam: Vector) -> tuple[Vector, Vector]:
-        """Refine on the final set, less rows whose multiplier is rounding of the wrong sign."""
+    def _refine_solution(self, outcome: Outcome, lam: Vector) -> tuple[Vector, Vector]:
+        """Refine (z, λ) on the final active set; drop wrong-signed rounding."""
         W, side = outcome.active, outcome.side
         inequality = self.lower < self.upper
         L = self.projection.L
         z = -np.linalg.solve(L.T, np.linalg.solve(L, self.qp.q + self.M.T @ lam))
         while True:
-            z, lam = self._on_set(W, side, z, lam)
+            z, lam = self._refine_on_set(W, side, z, lam)
             wrong = inequality[W] & (side[W] * lam[W] < 0.0)
             if not wrong.any():
                 return z, lam
             lam[W[wrong]] = 0.0
             W = W[~wrong]
 
-    def _on_set(self, W: Indices, side: Vector, z: Vector, lam: Vector) -> tuple[Vector, Vector]:
-        """Refinement of (z, λ) on W in the problem's own data, residuals in long double."""
+    def _refine_on_set(
+        self, W: Indices, side: Vector, z: Vector, lam: Vector
+    ) -> tuple[Vector, Vector]:
+        """Refine (z, λ) on active rows W, residuals in long double."""
         L, M, qp = self.projection.L, self.M.astype(np.longdouble), self.qp
         P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)
         J_W = self.projection.J[:, W] / self.projection.scale[W]

@@ -14,7 +14,7 @@ from dpbench.bench.run import footprint
 from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
-from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOp, open_calibration
+from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOpWorkspace, open_calibration
 from dpbench.solvers.contract import Workspace
 
 MEGABYTE = 2**20
@@ -39,7 +39,7 @@ def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
 
 
 def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
-    class Spender(NoOp):
+    class Spender(NoOpWorkspace):
         def solve(self) -> None:
             np.ones(MEGABYTE, dtype=np.uint8)
 
@@ -58,7 +58,7 @@ def test_a_library_that_leaks_is_seen() -> None:
     lost = np.zeros(100, dtype=np.uint64)
     calls = itertools.count()
 
-    class Leaker(NoOp):
+    class Leaker(NoOpWorkspace):
         def update(self, step: QPStep) -> None:
             lost[next(calls)] = libc.malloc(5000)
 

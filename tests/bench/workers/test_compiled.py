@@ -22,5 +22,7 @@ def test_an_empty_cache_is_told_from_one_with_kernels(
     (tmp_path / "kernel").mkdir()
     (tmp_path / "kernel" / "replay._reference_kernel-26.py311.nbi").touch()
     assert list_uncompiled_modules([OWN, LOOP]) == [OWN]
-    (tmp_path / "kernel" / "hildreth._entry_point.locals.hildreth_step-177.py311.nbi").touch()
+    (
+        tmp_path / "kernel" / "hildreth._compile_entry_point.locals.hildreth_step-177.py311.nbi"
+    ).touch()
     assert list_uncompiled_modules([OWN, LOOP]) == []

@@ -14,7 +14,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries import NATIVE
-from dpbench.solvers.libraries.native_workspace import Start
+from dpbench.solvers.libraries.native_workspace import WarmStart
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, check_availability
 from tests.solvers.conftest import Sequence, solve_next, solve_qp
@@ -54,7 +54,7 @@ def test_a_start_is_the_previous_answer_one_move_later():
         (2, ([3, 4, 5, 6, 0, 0], [11, 12, 0], [22, 23, 24, 25, 0, 0])),
         (0, (z, y, y_box)),
     ):
-        start = Start(6, 3, block)
+        start = WarmStart(6, 3, block)
         assert not start.advance()
         start.remember(Solution(Status.SOLVED, z, y, y_box))
         assert start.advance()
@@ -102,8 +102,8 @@ class Panic(BaseException):
     """As raised by Rust libraries, which do not derive theirs from Exception."""
 
 
-CALLS = [("native", method) for method in ("_build", "_hand_over", "_call")]
-CALLS.append(("qpsolvers", "_call"))
+CALLS = [("native", method) for method in ("_build_solver", "_update_vectors", "_run_solver")]
+CALLS.append(("qpsolvers", "_run_solver"))
 """Methods that call the library, on each route."""
 
 
@@ -118,7 +118,7 @@ def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method
         raise error
 
     def run():
-        if method == "_build":
+        if method == "_build_solver":
             return solve_qp(workspace, sequence.base)
         return solve_next(workspace, sequence.steps[0])
 

@@ -14,7 +14,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own import paper_active_set
-from dpbench.solvers.own.exact_point import LARGEST, error_bound, is_regular
+from dpbench.solvers.own.exact_point import LARGEST, error_bound, is_regular_vertex
 from tests.solvers.conftest import solve_next
 from tests.solvers.own.random_costs import INF, unlimited
 
@@ -73,19 +73,21 @@ def test_limits_are_regular_if_they_meet_at_an_angle(angle, regular):
     """Two borders through the origin; a third that is far away does not count."""
     A = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)], [1.0, 1.0]])
     qp = unlimited(np.eye(2), np.ones(2), A, [-INF] * 3, [0.0, 0.0, 1.0])
-    assert is_regular(JointQP.of(qp), np.zeros(2)) is regular
+    assert is_regular_vertex(JointQP.of(qp), np.zeros(2)) is regular
 
 
 def test_more_limits_than_variables_are_not_regular():
     """Three borders through one point of the plane."""
-    assert not is_regular(JointQP.of(lines(2.0)), np.ones(2))
-    assert is_regular(JointQP.of(lines(3.0)), np.ones(2))
+    assert not is_regular_vertex(JointQP.of(lines(2.0)), np.ones(2))
+    assert is_regular_vertex(JointQP.of(lines(3.0)), np.ones(2))
 
 
 def test_a_long_horizon_alone_raises_no_doubt(monkeypatch):
     """cond(P) is 4e7 at 200/40, yet rounding leaves the answer near the certified optimum."""
     recorded = load_recorded(sequence_path("paper-200-40"))
-    monkeypatch.setattr(paper_active_set, "is_sensitive", lambda *_: pytest.fail("was in doubt"))
+    monkeypatch.setattr(
+        paper_active_set, "is_answer_sensitive", lambda *_: pytest.fail("was in doubt")
+    )
     workspace = open_workspace("paper_active_set", policy="warm")
     workspace.setup(recorded.sequence.base)
     for k, optimum in enumerate(recorded.optima):

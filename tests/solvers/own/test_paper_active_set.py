@@ -11,7 +11,7 @@ from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.proof import contradicts
+from dpbench.solvers.own.proof import proves_infeasible
 from tests.solvers.conftest import solve_next, solve_qp
 from tests.solvers.own.random_costs import INF, cost, solve
 
@@ -303,13 +303,13 @@ def test_between_finite_limits_the_proof_of_infeasibility_is_exact(seed):
     answer = solve_qp(solver, qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert farkas_valid(qp, answer.y, answer.y_box)
-    assert contradicts(qp, answer.y, answer.y_box)
+    assert proves_infeasible(qp, answer.y, answer.y_box)
 
 
 def test_a_ray_that_proves_nothing_is_no_proof():
     """A vector that does not cancel, or whose limits leave room, proves nothing."""
     one = np.ones(1)
     qp = QuadraticProgram(np.eye(1), one, [[1.0]], [2.0], [3.0], [-1.0], [1.0])
-    assert contradicts(qp, -one, one)
-    assert not contradicts(qp, -one, 0.5 * one)
-    assert not contradicts(qp, one, -one)
+    assert proves_infeasible(qp, -one, one)
+    assert not proves_infeasible(qp, -one, 0.5 * one)
+    assert not proves_infeasible(qp, one, -one)

@@ -7,7 +7,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
-from dpbench.solvers.own.proof import contradicts, determined
+from dpbench.solvers.own.proof import has_consistent_equalities, proves_infeasible
 from tests.solvers.own.random_costs import INF, cost, solve, unlimited
 
 
@@ -179,13 +179,13 @@ def test_a_feasible_point_far_off_is_not_called_infeasible(distance):
     A = np.array([[1.0, 0.0], [1.0, angle]])
     qp = unlimited(np.eye(2), [1, 1], A, [-INF, 1 + 1e-9], [1.0, INF])
     ray = np.array([1.0, -1.0])
-    assert not contradicts(qp, ray, -(A.T @ ray))
+    assert not proves_infeasible(qp, ray, -(A.T @ ray))
     assert solve(qp).status is not Status.PRIMAL_INFEASIBLE
     # Within a box that keeps z1 from going there they do.
     boxed = QuadraticProgram(
         np.eye(2), [1, 1], A, [-INF, 1 + 1e-9], [1.0, INF], [-9, -9], [9, 0.1 * distance]
     )
-    assert contradicts(boxed, ray, -(A.T @ ray))
+    assert proves_infeasible(boxed, ray, -(A.T @ ray))
 
 
 def pinned(seed, combine):
@@ -233,4 +233,4 @@ def test_redundancy_is_decided_to_the_last_bit():
             A[3] = A[0] - 3.0 * A[1] if redundant else A[0] / 3.0 + A[1] / 7.0
             w = np.zeros(4)
             qp = unlimited(np.eye(6), np.ones(6), A, w, w)
-            assert determined(qp) is redundant
+            assert has_consistent_equalities(qp) is redundant

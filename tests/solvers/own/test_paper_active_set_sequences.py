@@ -17,10 +17,10 @@ from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.active_set import factor, layout
-from dpbench.solvers.own.active_set.constants import empty, fill
-from dpbench.solvers.own.active_set.kernel import _entry_points, mark_spans, solve_step
+from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
+from dpbench.solvers.own.active_set.kernel import _compile_entry_points, mark_spans, solve_step
 from dpbench.solvers.own.hildreth import hildreth_step
-from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 from tests.solvers.conftest import Sequence, run_program, solve_next, solve_qp
 from tests.solvers.own.random_costs import INF, solve, unlimited
 
@@ -172,10 +172,10 @@ def test_three_hundred_variables_and_six_hundred_rows():
 
 def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
     """The mark of the compiled code changes with a constant that some function of it names."""
-    before = layout.stamp(_entry_points)
-    assert layout.stamp(_entry_points) == before
+    before = layout.code_checksum(_compile_entry_points)
+    assert layout.code_checksum(_compile_entry_points) == before
     monkeypatch.setattr(factor, "CLOSE", 1e-7)
-    assert layout.stamp(_entry_points) != before
+    assert layout.code_checksum(_compile_entry_points) != before
 
 
 @pytest.mark.slow
@@ -296,7 +296,7 @@ def workspace(monkeypatch):
     def refuse(self, ending):
         raise AssertionError(f"left to the safeguards: ending {ending}")
 
-    monkeypatch.setattr(PaperActiveSet, "_decide", refuse)
+    monkeypatch.setattr(PaperActiveSetWorkspace, "_resolve_unclear_ending", refuse)
     return open_workspace("paper_active_set", policy="warm")
 
 
@@ -364,8 +364,8 @@ def test_rows_that_rounding_alone_sets_apart_are_doubtful():
     third, one = np.array([[1.0, 1 / 3, 1 / 7]]), np.ones(3)
     limit = third.sum(axis=1)
     qp = QuadraticProgram(np.eye(3), -3 * one, third, limit, [9.0], -one, one)
-    S = empty(3, 1)
-    assert fill(S, qp, keep=False) == ""
+    S = new_problem_array(3, 1)
+    assert write_problem(S, qp, keep=False) == ""
     assert solve_step(S) == layout.DOUBTFUL
 
 

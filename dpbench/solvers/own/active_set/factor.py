@@ -62,11 +62,11 @@ from dpbench.solvers.own.active_set.layout import (
     V,
     X,
     Z,
-    add_row,
+    add_product,
+    add_scaled_row,
     compiled,
     inlined,
-    product,
-    width_of,
+    row_width,
 )
 
 DEPENDENT = 1e-11
@@ -77,8 +77,8 @@ from the rows themselves, because the factor has lost six digits of it."""
 
 
 @compiled
-def forward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve L x = b in place, for row b of S."""
+def substitute_forward(S: Matrix, L: int, w: int, b: int) -> None:
+    """Solve L x = b in place, b being a row of the work array S."""
     for i in range(w):
         s = S[b, i]
         for k in range(i):
@@ -87,8 +87,8 @@ def forward(S: Matrix, L: int, w: int, b: int) -> None:
 
 
 @compiled
-def backward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve Lᵀ x = b in place, for row b of S."""
+def substitute_backward(S: Matrix, L: int, w: int, b: int) -> None:
+    """Solve Lᵀ x = b in place, b being a row of the work array S."""
     for i in range(w - 1, -1, -1):
         x = S[b, i] * S[INVERSE, i]
         S[b, i] = x
@@ -97,21 +97,21 @@ def backward(S: Matrix, L: int, w: int, b: int) -> None:
 
 
 @compiled
-def limit_of(S: Matrix, i: int) -> float:
-    """Return the limit that row i is held at."""
+def active_limit(S: Matrix, i: int) -> float:
+    """Return the limit at which row i is active."""
     g: float = S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
     return g
 
 
 @compiled
-def is_wrong(S: Matrix, i: int, lam: float) -> bool:
-    """Whether λ is a multiplier of the other limit than the one that row i is held at."""
+def has_wrong_sign(S: Matrix, i: int, lam: float) -> bool:
+    """Return whether the sign of λ contradicts the limit at which row i is active."""
     return bool((lam * S[SIDE, i] < 0.0) & (S[LOW, i] < S[HIGH, i]))
 
 
 @compiled
-def append(S: Matrix, L: int, w: int, i: int, side: float, pivot: float) -> int:
-    """Make row i active; its row of the factor is in place but for the diagonal."""
+def append_active_row(S: Matrix, L: int, w: int, i: int, side: float, pivot: float) -> int:
+    """Make row i active; its row of the factor is in place except for the diagonal."""
     d = sqrt(pivot)
     S[L + w, w], S[INVERSE, w] = d, 1.0 / d
     S[ACTIVE, w], S[SIDE, i] = i, side
@@ -120,8 +120,8 @@ def append(S: Matrix, L: int, w: int, i: int, side: float, pivot: float) -> int:
 
 
 @compiled
-def drop(S: Matrix, L: int, k: int, w: int) -> None:
-    """Make the k-th active row inactive: rotate what its column leaves above the diagonal away."""
+def drop_active_row(S: Matrix, L: int, k: int, w: int) -> None:
+    """Make the k-th active row inactive and update the factor by plane rotations."""
     i = int(S[ACTIVE, k]) & MASK
     S[SIDE, i] = S[LAM, i] = 0.0
     for r in range(k, w - 1):
@@ -141,8 +141,8 @@ def drop(S: Matrix, L: int, k: int, w: int) -> None:
 
 
 @compiled
-def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
-    """Squared distance of row j from the active ones, r and the factor's row corrected with it."""
+def refine_distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
+    """Return the squared distance of row j from the active rows; refine r and the factor row."""
     for again in range(2):
         for i in range(n):
             S[X, i] = S[J + j, i]
@@ -156,10 +156,10 @@ def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
                 for i in range(n):
                     s += S[X, i] * S[r, i]
                 S[E, k] = s
-            forward(S, L, w, E)
+            substitute_forward(S, L, w, E)
             for k in range(w):
                 S[STEP, k] += S[E, k]
-            backward(S, L, w, E)
+            substitute_backward(S, L, w, E)
             for k in range(w):
                 S[R, k] += S[E, k]
     d = 0.0
@@ -169,35 +169,32 @@ def distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
 
 
 @compiled
-def direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
-    """Write r = H_WW⁻¹ H_Wj to R, the factor's new row to STEP.
-
-    Returns the squared distance of row j from W.
-    """
+def solve_direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
+    """Write r = H_WW⁻¹ H_Wj; return the squared distance of row j from the active rows."""
     for k in range(w):
         S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
-    forward(S, L, w, STEP)
+    substitute_forward(S, L, w, STEP)
     d = S[H + j, j]
     for k in range(w):
         S[R, k] = S[STEP, k]
         d -= S[STEP, k] * S[STEP, k]
-    backward(S, L, w, R)
+    substitute_backward(S, L, w, R)
     if w > 0 and d < CLOSE * S[H + j, j]:
-        return distance(S, L, J, j, n, w)
+        return refine_distance(S, L, J, j, n, w)
     return float(d)
 
 
 @compiled
 def solve_active(S: Matrix, L: int, w: int) -> bool:
-    """R = λ_W of the active set (eq. 31); False if a limit is infinite."""
+    """Compute λ_W of the active set (eq. 31); return False if a limit is infinite."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
-        g = limit_of(S, i)
+        g = active_limit(S, i)
         if abs(g) == inf:
             return False
         S[R, k] = S[V0, i] - g
-    forward(S, L, w, R)
-    backward(S, L, w, R)
+    substitute_forward(S, L, w, R)
+    substitute_backward(S, L, w, R)
     return True
 
 
@@ -208,47 +205,47 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 
 
 @inlined
-def add_active(S: Matrix, out: int, sign: float, H: int) -> None:
-    """S[out] += sign · H_:W λ_W."""
+def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
+    """Add sign · H_:W λ_W, a sum over active rows, to a row of the work array S."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
-        add_row(S, out, sign * S[LAM, i], H + i, ALL)
+        add_scaled_row(S, out, sign * S[LAM, i], H + i, ALL)
 
 
 @compiled
-def values(S: Matrix, H: int) -> None:
-    """Compute v of the active set (eq. 32)."""
+def compute_values_on_set(S: Matrix, H: int) -> None:
+    """Compute v = C z for the optimum on the active set (eq. 32)."""
     w = int(S[HEAD, COUNT]) & MASK
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[V, i] = S[V0, i]
-    add_active(S, V, -1.0, H)
+    add_active_rows(S, V, -1.0, H)
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
-        S[V, i] = limit_of(S, i)
+        S[V, i] = active_limit(S, i)
 
 
 @compiled
-def row_values(S: Matrix, out: int, P: int, n: int) -> None:
-    """S[out] = C Z, in the problem's own rows."""
+def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
+    """Write C z, from the problem's own rows, into a row of S."""
     for i in range(n):
         S[out, i] = S[Z, i]
-    for i in range(n, width_of(S)):
+    for i in range(n, row_width(S)):
         S[out, i] = 0.0
-    product(S, out, P, Z, n, ROWS)
+    add_product(S, out, P, Z, n, ROWS)
 
 
 @compiled
-def evaluate(S: Matrix, P: int, H: int) -> None:
-    """Compute v anew from Z, in the problem's own rows, and v₀ from v."""
-    row_values(S, V, P, int(S[HEAD, N_PAD]) & MASK)
-    for i in range(width_of(S)):
+def recompute_values(S: Matrix, P: int, H: int) -> None:
+    """Recompute v = C z from Z and the problem's own rows, and v₀ from v."""
+    multiply_by_rows(S, V, P, int(S[HEAD, N_PAD]) & MASK)
+    for i in range(row_width(S)):
         S[V0, i] = S[V, i]
-    add_active(S, V0, 1.0, H)
+    add_active_rows(S, V0, 1.0, H)
 
 
 @compiled
-def violation(S: Matrix, i: int, noise: float) -> float:
-    """By how much row i is violated in the norm of P⁻¹; 0 if by no more than rounding."""
+def row_violation(S: Matrix, i: int, noise: float) -> float:
+    """Return the violation of row i in the norm of P⁻¹; 0 if it is within rounding."""
     over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
     e = over if over >= under else under
     if not e > 0.0:
@@ -259,9 +256,9 @@ def violation(S: Matrix, i: int, noise: float) -> float:
 
 
 @compiled
-def most_violated(S: Matrix, noise: float) -> int:
-    """Return the inactive row violated most in the norm of P⁻¹; −1 if there is none."""
-    excess, width = 0.0, width_of(S)
+def find_most_violated(S: Matrix, noise: float) -> int:
+    """Return the inactive row with the largest violation in the norm of P⁻¹; −1 if none."""
+    excess, width = 0.0, row_width(S)
     for i in range(width):
         over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
         excess += (over if over > 0.0 else 0.0) + (under if under > 0.0 else 0.0)
@@ -270,7 +267,7 @@ def most_violated(S: Matrix, noise: float) -> int:
     most, worst = 0.0, -1
     for i in range(width):
         if S[SIDE, i] == 0.0:
-            e = violation(S, i, noise)
+            e = row_violation(S, i, noise)
             if e > most:
                 most, worst = e, i
     return worst
@@ -278,14 +275,11 @@ def most_violated(S: Matrix, noise: float) -> int:
 
 @compiled
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
-    """List the inactive rows violated by no less than `SHARE` of the most violated.
-
-    That is row j.
-    """
-    least, count = SHARE * violation(S, j, noise), 0
-    for i in range(width_of(S)):
+    """List inactive rows violated by at least 30 % of the most violated row j."""
+    least, count = SHARE * row_violation(S, j, noise), 0
+    for i in range(row_width(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
-            e = violation(S, i, noise)
+            e = row_violation(S, i, noise)
             if e > 0.0 and e >= least:
                 S[BEFORE, count] = i
                 count += 1
@@ -293,11 +287,8 @@ def list_candidates(S: Matrix, j: int, noise: float) -> None:
 
 
 @compiled
-def best_candidate(S: Matrix, H: int, noise: float) -> int:
-    """Return the candidate violated most now, −1 if there is none.
-
-    Those not violated leave the list.
-    """
+def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
+    """Return the most violated candidate row, −1 if none; unlist satisfied ones."""
     count, w = int(S[CHECK, CANDIDATES]) & MASK, int(S[HEAD, COUNT]) & MASK
     most, worst, left = 0.0, -1, 0
     for c in range(count):
@@ -309,7 +300,7 @@ def best_candidate(S: Matrix, H: int, noise: float) -> int:
             r = int(S[ACTIVE, k]) & MASK
             v -= S[H + i, r] * S[LAM, r]
         S[V, i] = v
-        e = violation(S, i, noise)
+        e = row_violation(S, i, noise)
         if e > 0.0:
             S[BEFORE, left] = i
             left += 1
@@ -320,13 +311,13 @@ def best_candidate(S: Matrix, H: int, noise: float) -> int:
 
 
 @inlined
-def next_row(S: Matrix, H: int, noise: float) -> int:
-    """Return the row to add: the most violated candidate, or of all rows where none is left."""
-    many = width_of(S) > NARROW
-    j = best_candidate(S, H, noise) if many else -1
+def choose_next_row(S: Matrix, H: int, noise: float) -> int:
+    """Return the next row to activate: a candidate, else the most violated of all; −1 if none."""
+    many = row_width(S) > NARROW
+    j = find_worst_candidate(S, H, noise) if many else -1
     if j < 0:
-        values(S, H)
-        j = most_violated(S, noise)
+        compute_values_on_set(S, H)
+        j = find_most_violated(S, noise)
         if many and j >= 0:
             list_candidates(S, j, noise)
     return j
@@ -337,8 +328,8 @@ MANY = 8
 
 
 @compiled
-def list_changed(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
-    """How many rows of A changed, listed in BEFORE, and their entries; −1 if one is not finite."""
+def list_changed_rows(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
+    """List changed rows of A; return their number and entries, −1 if not finite."""
     n, m = int(S[HEAD, N]), int(S[HEAD, M])
     count, entries, largest = 0, 0, 1.0
     for i in range(m):
@@ -360,8 +351,10 @@ def list_changed(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
 
 
 @compiled
-def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector) -> Ints:
-    """Where the entries of each changed row begin in `row` and `share`, which are written to."""
+def gather_changed_entries(
+    S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector
+) -> Ints:
+    """Write column and value of each nonzero of changed rows; return where rows begin."""
     n, first = int(S[HEAD, N]), np.empty(count + 1, np.int64)
     first[0] = 0
     for c in range(count):
@@ -375,8 +368,8 @@ def gather(S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector)
 
 
 @compiled
-def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
-    """Write the changed rows into A, [P Aᵀ] and SUM. Returns whether any entry was zero before."""
+def write_changed_rows(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
+    """Write changed rows into all copies of A; return whether zeros became nonzero."""
     n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
     for c in range(count):
         i, terms = int(S[BEFORE, c]) & MASK, 0.0
@@ -391,11 +384,10 @@ def write(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
 
 
 @compiled
-def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """Write the columns of changed rows in a block of K or H.
-
-    Returns whether any entry was zero before.
-    """
+def write_changed_columns(
+    S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector
+) -> bool:
+    """Write columns of changed rows in K or H; return whether zeros became nonzero."""
     n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
     for r in range(block, block + rows):
         for c in range(len(first) - 1):
@@ -409,8 +401,10 @@ def columns(S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vec
 
 
 @compiled
-def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector) -> None:
-    """Write the changed rows of H or J."""
+def write_dependent_rows(
+    S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector
+) -> None:
+    """Compute the rows of H or J that belong to changed rows of A."""
     n_pad = int(S[HEAD, N_PAD]) & MASK
     for c in range(len(first) - 1):
         r = block + n_pad + (int(S[BEFORE, c]) & MASK)
@@ -423,12 +417,9 @@ def rows_of(S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Ve
 
 
 @compiled
-def lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """Write UNIT of the changed rows.
-
-    Returns False if the factors of P have to tell what they cancel to.
-    """
-    n_pad, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
+    """Write inverse lengths of changed rows; return False if rounding may have cancelled them."""
+    n_pad, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for c in range(len(first) - 1):
         i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0
         for e in range(first[c], first[c + 1]):
@@ -446,17 +437,17 @@ def lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
 
 
 @compiled
-def change(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
-    """Take over A; 1 if rows of S now are filled in elsewhere, −1 if all has to be made anew."""
-    n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, width_of(S)
-    count, entries = list_changed(S, A, new)
+def apply_row_changes(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
+    """Replace A in the work array; return 1 if nonzeros moved, −1 if P must be factorised."""
+    n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, row_width(S)
+    count, entries = list_changed_rows(S, A, new)
     if count <= 0 or entries > MANY * n:
         return 0 if count == 0 else -1
     row, share = np.empty(entries, np.int64), np.empty(entries)
-    first = gather(S, A, new, count, row, share)
-    grown = write(S, P, A, new, count)
-    grown |= columns(S, K, n, first, row, share)
-    grown |= columns(S, H, width, first, row, share)
-    rows_of(S, H, width, first, row, share)
-    rows_of(S, J, n_pad, first, row, share)
-    return int(grown) if lengths(S, H, first, row, share) else -1
+    first = gather_changed_entries(S, A, new, count, row, share)
+    grown = write_changed_rows(S, P, A, new, count)
+    grown |= write_changed_columns(S, K, n, first, row, share)
+    grown |= write_changed_columns(S, H, width, first, row, share)
+    write_dependent_rows(S, H, width, first, row, share)
+    write_dependent_rows(S, J, n_pad, first, row, share)
+    return int(grown) if write_row_lengths(S, H, first, row, share) else -1

@@ -17,7 +17,7 @@ With n variables and m rows, both padded to multiples of 16, C = [I; A] has `wid
     13  R       14  STEP          scratch                                     k
     15  X       16  E             scratch                                     k or variable or i
     18  BEFORE                    what λ or SIDE was, or a list of rows       i or k
-    19 … 82  SHARES               of rows in the active ones (`crowded`)      k
+    19 … 82  SHARES               of rows in the active ones (`start`)        k
     ── blocks ─────────────────────────────────────────────────────────────────────
     K   n_pad rows                −P⁻¹Cᵀ                                      i
     P   n_pad rows                [P Aᵀ]                                      i
@@ -80,17 +80,17 @@ REORDER = {"reassoc", "contract", "nsz"}
 
 
 def compiled(function: F) -> F:
-    """Compile a function that other compiled functions call."""
+    """Compile a function with Numba for calls from other compiled functions."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
 def inlined(function: F) -> F:
-    """Compile a function inline, where a call takes as long as what is done."""
+    """Compile a small function with Numba, inlined into its callers."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy", forceinline=True)(function))
 
 
 def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
-    """Return the first rows of K, P, H, J, A and L in S."""
+    """Return the first rows of the blocks K, P, H, J, A and L in the work array."""
     K = VECTORS
     P = K + n_pad
     H = P + n_pad
@@ -104,28 +104,24 @@ starts = compiled(block_starts)
 
 
 @compiled
-def width_of(S: Matrix) -> int:
-    """Places for rows of C."""
+def row_width(S: Matrix) -> int:
+    """Return the number of columns for rows of C = [I; A], padding included."""
     width: int = (S.shape[1] - TAIL) & MASK
     return width
 
 
-def stamp(function: Callable[..., object]) -> int:
-    """Return a number that changes with any compiled function that `function` calls.
-
-    Or that those call, and with the constants they name.
-
-    Numba's cache looks at the file of the function it holds, not at what that function calls; a
-    stamp in its closure makes it look at both. What else has been imported is not in it: another
-    order of imports would compile all again.
-    """
+def code_checksum(function: Callable[..., object]) -> int:
+    """Return a checksum of the code and constants of all compiled functions that it calls."""
+    # Numba's cache looks at the file of the function it holds, not at what that function calls; a
+    # checksum in its closure makes it look at both. What else has been imported is not in it:
+    # another order of imports would compile all again.
     parts: list[tuple[CodeType, list[float]]] = []
     waiting, seen = [function], {function}
     while waiting:
         called = waiting.pop()
         assert isinstance(called, FunctionType)
         known = called.__globals__
-        named = [known[name] for name in _names(called.__code__) if name in known]
+        named = [known[name] for name in _referenced_names(called.__code__) if name in known]
         parts.append((called.__code__, [x for x in named if isinstance(x, (int, float))]))
         compiled_ones = {x.py_func: None for x in named if hasattr(x, "py_func")}
         waiting += [x for x in compiled_ones if x not in seen]
@@ -134,10 +130,10 @@ def stamp(function: Callable[..., object]) -> int:
     return zlib.crc32(marshal.dumps(parts, 2))
 
 
-def _names(code: CodeType) -> list[str]:
-    """List the names that a function, and those written inside it, refer to."""
+def _referenced_names(code: CodeType) -> list[str]:
+    """List the names that a code object, and those nested in it, refer to."""
     inside = [constant for constant in code.co_consts if isinstance(constant, CodeType)]
-    return [*code.co_names, *(name for within in inside for name in _names(within))]
+    return [*code.co_names, *(name for within in inside for name in _referenced_names(within))]
 
 
 GROUP = 4
@@ -153,16 +149,16 @@ BOUNDS, ROWS, ALL = 0, 1, 2
 
 
 @compiled
-def mark(S: Matrix, first: int, end: int, step: int, n: int) -> None:
-    """Write the spans of rows `first` to `end` of S, `step` rows at a time."""
-    width = width_of(S)
+def mark_row_spans(S: Matrix, first: int, end: int, step: int, n: int) -> None:
+    """Write where work array rows `first` to `end` are not zero, `step` rows together."""
+    width = row_width(S)
     for r in range(first, end, step):
         count = 0
         for half in range(2):
             start, stop = (0, n) if half == 0 else (n, width)
             least, most = count, SPANS_BEFORE if half == 0 else SPANS
             for c in range(start, stop, LANES):
-                if not any_entry(S, r, r + step, c):
+                if not has_nonzero_entry(S, r, r + step, c):
                     continue
                 ahead = width + 2 * count + 1
                 if count > least and (count == most or c - S[r, ahead] < GAP):
@@ -174,16 +170,16 @@ def mark(S: Matrix, first: int, end: int, step: int, n: int) -> None:
 
 
 @compiled
-def mark_all(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
-    """Write the spans of K, [P Aᵀ] and H."""
-    mark(S, K, P, GROUP, n)
-    mark(S, P, H, GROUP, n)
-    mark(S, H, J, 1, n)
+def mark_all_spans(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
+    """Write where the rows of K, [P Aᵀ] and H are not zero."""
+    mark_row_spans(S, K, P, GROUP, n)
+    mark_row_spans(S, P, H, GROUP, n)
+    mark_row_spans(S, H, J, 1, n)
 
 
 @compiled
-def any_entry(S: Matrix, first: int, end: int, column: int) -> bool:
-    """Whether any of some rows has an entry in the vector that begins at a column."""
+def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
+    """Return whether any of several rows has a nonzero in the vector at a column."""
     for r in range(first, end):
         for c in range(column, column + LANES):
             if S[r, c] != 0.0:
@@ -192,17 +188,17 @@ def any_entry(S: Matrix, first: int, end: int, column: int) -> bool:
 
 
 @compiled
-def spans_of(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
-    """Return the columns of S in which the spans of a part of row r begin and end."""
+def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
+    """Return the columns that hold the nonzero spans of a part of work array row r."""
     first = int(S[r, width]) if part == ROWS else 0
     end = int(S[r, width]) if part == BOUNDS else int(S[r, width + 1])
     return (width + 2 + 2 * first) & MASK, (width + 2 + 2 * end) & MASK
 
 
 @compiled
-def product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None:
-    """S[out] += Σ_j S[by, j] · S[first + j] over n rows of K or [P Aᵀ], on a part of them."""
-    width = width_of(S)
+def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None:
+    """Add Σ_j S[by, j] · S[first + j], over n rows of K or [P Aᵀ], to a row of S."""
+    width = row_width(S)
     for j in range(0, n, GROUP):
         a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
         r = first + j
@@ -210,7 +206,7 @@ def product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None
             for i in range(n if part == ROWS else 0, n if part == BOUNDS else width):
                 S[out, i] += a * S[r, i] + b * S[r + 1, i] + c * S[r + 2, i] + d * S[r + 3, i]
             continue
-        span, end = spans_of(S, r, width, part)
+        span, end = part_spans(S, r, width, part)
         while span < end:
             for i in range(int(S[r, span]) & MASK, int(S[r, span + 1]) & MASK):
                 S[out, i] += a * S[r, i] + b * S[r + 1, i] + c * S[r + 2, i] + d * S[r + 3, i]
@@ -218,15 +214,15 @@ def product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None
 
 
 @inlined
-def add_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
-    """S[out] += a · S[r] for a row of H, on a part of the columns."""
-    width = width_of(S)
+def add_scaled_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
+    """Add a times row r of H to a row of S, on a part of the columns."""
+    width = row_width(S)
     if width <= NARROW:
         n = int(S[HEAD, N_PAD]) & MASK
         for i in range(n if part == ROWS else 0, n if part == BOUNDS else width):
             S[out, i] += a * S[r, i]
         return
-    span, end = spans_of(S, r, width, part)
+    span, end = part_spans(S, r, width, part)
     while span < end:
         for i in range(int(S[r, span]) & MASK, int(S[r, span + 1]) & MASK):
             S[out, i] += a * S[r, i]

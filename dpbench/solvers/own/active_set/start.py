@@ -15,11 +15,12 @@ By hand, the point nearest (2, 1) and then the one nearest (1, −2) under z₁ 
 
 >>> import numpy as np
 >>> from dpbench.qp.program import QuadraticProgram
->>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
 >>> from dpbench.solvers.own.active_set.kernel import solve_step
 >>> from dpbench.solvers.own.active_set.layout import Z
->>> none, S = np.full(2, np.inf), empty(n=2, m=1)
->>> fill(S, QuadraticProgram(np.eye(2), [-2, -1], [[-1, 1]], [-9], [0], -none, [0, 9]), keep=True)
+>>> none, S = np.full(2, np.inf), new_problem_array(n=2, m=1)
+>>> problem = QuadraticProgram(np.eye(2), [-2, -1], [[-1, 1]], [-9], [0], -none, [0, 9])
+>>> write_problem(S, problem, keep=True)
 ''
 >>> solve_step(S), S[LAM, [0, 16]].round(12).tolist()
 (2, [3.0, 1.0])
@@ -54,13 +55,13 @@ that rounding moves 1e6 times as far as a limit.
 
 >>> import numpy as np
 >>> from dpbench.qp.program import QuadraticProgram
->>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
 >>> from dpbench.solvers.own.active_set.kernel import solve_step
 >>> from dpbench.solvers.own.active_set.layout import DOUBTFUL
 >>> def is_doubtful(row, low, high):
-...     S, one = empty(n=2, m=1), np.ones(2)
+...     S, one = new_problem_array(n=2, m=1), np.ones(2)
 ...     meeting = np.eye(2), [-3, -3.5], [row], [low], [high], -9 * one, one
-...     fill(S, QuadraticProgram(*meeting), keep=False)
+...     write_problem(S, QuadraticProgram(*meeting), keep=False)
 ...     return solve_step(S) == DOUBTFUL
 >>> is_doubtful([1, 1], -9, 2), is_doubtful([1, 1e-6], -9, 1 + 1e-6)
 (False, True)
@@ -74,13 +75,13 @@ from dpbench.arrays import Matrix
 from dpbench.solvers.own.active_set.factor import (
     CLOSE,
     DEPENDENT,
-    append,
-    direction,
-    drop,
-    is_wrong,
-    most_violated,
+    append_active_row,
+    compute_values_on_set,
+    drop_active_row,
+    find_most_violated,
+    has_wrong_sign,
     solve_active,
-    values,
+    solve_direction,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
@@ -115,41 +116,41 @@ from dpbench.solvers.own.active_set.layout import (
     Q,
     R,
     V,
+    add_product,
     compiled,
-    product,
-    width_of,
+    row_width,
 )
 
 
 @compiled
-def length(S: Matrix, row: int) -> float:
-    """Length of a vector of row values in the norm of P⁻¹."""
+def norm_of_values(S: Matrix, row: int) -> float:
+    """Return the length of a vector of row values in the norm of P⁻¹."""
     square = 0.0
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         v = S[row, i] * S[UNIT, i]
         square += v * v
     return sqrt(square)
 
 
 @compiled
-def forget(S: Matrix) -> None:
-    """Empty the active set, with all multipliers zero."""
-    for i in range(width_of(S)):
+def clear_active_set(S: Matrix) -> None:
+    """Empty the active set and set all multipliers to zero."""
+    for i in range(row_width(S)):
         S[SIDE, i] = S[LAM, i] = 0.0
     S[HEAD, COUNT] = S[HEAD, ASIDE] = S[HEAD, STALE] = 0.0
 
 
 @compiled
-def begin(S: Matrix, K: int) -> float:
-    """v₀, and its length in the norm of P; a negative ending for data that have no answer."""
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+def compute_unconstrained_values(S: Matrix, K: int) -> float:
+    """Compute v₀ = −C P⁻¹q; return its length, or a negative ending for bad data."""
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
-        forget(S)
+        clear_active_set(S)
     S[HEAD, ITERATIONS] = 0.0
     for i in range(width):
         S[V0, i] = 0.0
-    product(S, V0, K, Q, n, ALL)
-    size, bad = length(S, V0), 0
+    add_product(S, V0, K, Q, n, ALL)
+    size, bad = norm_of_values(S, V0), 0
     for i in range(width):
         bad += not ((S[LOW, i] <= S[HIGH, i]) & (S[LOW, i] < inf) & (S[HIGH, i] > -inf))
     if not size < inf:
@@ -159,14 +160,14 @@ def begin(S: Matrix, K: int) -> float:
 
 
 @compiled
-def multipliers(S: Matrix, L: int) -> int:
-    """λ_W of the active set if none is wrong; how many are, or −1 if a limit is infinite."""
+def try_multipliers(S: Matrix, L: int) -> int:
+    """Compute λ_W; return how many have the wrong sign, −1 for an infinite limit."""
     w, wrong = int(S[HEAD, COUNT]) & MASK, 0
     if not solve_active(S, L, w):
         return -1
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
-        wrong += is_wrong(S, i, S[R, k])
+        wrong += has_wrong_sign(S, i, S[R, k])
     if wrong == 0:
         for k in range(w):
             S[LAM, int(S[ACTIVE, k]) & MASK] = S[R, k]
@@ -174,8 +175,8 @@ def multipliers(S: Matrix, L: int) -> int:
 
 
 @compiled
-def repair(S: Matrix, L: int) -> None:
-    """Move λ to eq. 31, and drop the row whose multiplier is zero first, until there is none."""
+def restore_dual_feasibility(S: Matrix, L: int) -> None:
+    """Move λ towards eq. 31 and drop rows that reach zero, until no sign is wrong."""
     while True:
         w = int(S[HEAD, COUNT]) & MASK
         if not solve_active(S, L, w):
@@ -183,7 +184,7 @@ def repair(S: Matrix, L: int) -> None:
         first, t = -1, 1.0
         for k in range(w):
             i, a = int(S[ACTIVE, k]) & MASK, S[R, k]
-            if is_wrong(S, i, a):
+            if has_wrong_sign(S, i, a):
                 lam = abs(S[LAM, i])
                 share = lam / (lam + abs(a))
                 if first < 0 or share < t:
@@ -195,13 +196,13 @@ def repair(S: Matrix, L: int) -> None:
         for k in range(w):
             i = int(S[ACTIVE, k]) & MASK
             S[LAM, i] += t * (S[R, k] - S[LAM, i])
-        drop(S, L, first, w)
+        drop_active_row(S, L, first, w)
         S[HEAD, ITERATIONS] += 1
 
 
 @compiled
-def take_in(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
-    """Row i into the set to start from, unless it is in, has no limit, or leans on the others."""
+def add_to_start(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
+    """Add row i to the starting active set, unless it is in, unlimited or nearly dependent."""
     w = int(S[HEAD, COUNT]) & MASK
     g = S[HIGH, i] if side > 0.0 else S[LOW, i]
     if S[SIDE, i] != 0.0 or abs(g) == inf or w == int(S[HEAD, N]):
@@ -215,13 +216,13 @@ def take_in(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
         S[L + w, a] = s
         d -= s * s
     if d > CLOSE * S[H + i, i]:
-        append(S, L, w, i, side, d)
+        append_active_row(S, L, w, i, side, d)
         S[LAM, i] = lam
 
 
 @compiled
-def take_out(S: Matrix) -> int:
-    """Empty the set: rows and sides of it into BEFORE, λ into R; how many they are."""
+def empty_active_set(S: Matrix) -> int:
+    """Empty the active set, storing its rows and multipliers; return how many it had."""
     w = int(S[HEAD, COUNT]) & MASK
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
@@ -232,54 +233,51 @@ def take_out(S: Matrix) -> int:
 
 
 @compiled
-def retake(S: Matrix, L: int, H: int) -> None:
-    """Factor the same set again, for what H has become."""
-    for k in range(take_out(S)):
+def refactorise_active_set(S: Matrix, L: int, H: int) -> None:
+    """Factorise the unchanged active set again after H has changed."""
+    for k in range(empty_active_set(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
-        take_in(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
+        add_to_start(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
 
 
 @compiled
-def shift(S: Matrix, L: int, H: int) -> None:
-    """Shift the set by one move; the last move keeps what it had as well."""
+def shift_active_set(S: Matrix, L: int, H: int) -> None:
+    """Shift the active set by one control increment; the last increment keeps its rows."""
     n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
-    for k in range(take_out(S)):
+    for k in range(empty_active_set(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         i = (int(abs(S[BEFORE, k])) - 1) & MASK
         first, end, by = (0, n, block) if i < n_pad else (n_pad, n_pad + m, block_rows)
         if i - first >= by:
-            take_in(S, L, H, (i - by) & MASK, side, S[R, k])
+            add_to_start(S, L, H, (i - by) & MASK, side, S[R, k])
         if i >= end - by:
-            take_in(S, L, H, i, side, S[R, k])
+            add_to_start(S, L, H, i, side, S[R, k])
 
 
 @compiled
-def take_in_equalities(S: Matrix, L: int, H: int) -> None:
-    """Rows with equal limits are active whatever else is; those that lean on others stay out."""
-    count, width = 0, width_of(S)
+def add_equalities_to_start(S: Matrix, L: int, H: int) -> None:
+    """Add all independent rows with equal limits to the starting active set."""
+    count, width = 0, row_width(S)
     for i in range(width):
         count += (S[LOW, i] == S[HIGH, i]) & (S[SIDE, i] == 0.0)
     for i in range(width if count else 0):
         if S[LOW, i] == S[HIGH, i]:
-            take_in(S, L, H, i, 1.0, 0.0)
+            add_to_start(S, L, H, i, 1.0, 0.0)
 
 
 @compiled
-def start(S: Matrix, L: int, H: int, noise: float) -> int:
-    """Choose the set to start from and compute its v: the same as before if that will do.
-
-    Returns a row it violates.
-    """
-    take_in_equalities(S, L, H)
+def choose_start(S: Matrix, L: int, H: int, noise: float) -> int:
+    """Choose the starting active set and compute its v; return a row it violates, −1 if none."""
+    add_equalities_to_start(S, L, H)
     if S[HEAD, COUNT] > 0.0:
-        wrong = multipliers(S, L)
+        wrong = try_multipliers(S, L)
         if wrong != 0:
-            shift(S, L, H)
-            take_in_equalities(S, L, H)
-            repair(S, L)
-    values(S, H)
-    return most_violated(S, noise)
+            shift_active_set(S, L, H)
+            add_equalities_to_start(S, L, H)
+            restore_dual_feasibility(S, L)
+    compute_values_on_set(S, H)
+    return find_most_violated(S, noise)
 
 
 NEAR, STEEP = 1e-8, 1e-4
@@ -298,9 +296,9 @@ LARGEST_WHOLE = 2.0**40
 
 
 @compiled
-def is_crowded(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
-    """Whether rounding may decide where the answer lies; `size` is its length in the norm of P."""
-    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, width_of(S)
+def is_degenerate_vertex(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
+    """Return whether rounding may decide which rows near their limits are active."""
+    near, w, width = 0, int(S[HEAD, COUNT]) & MASK, row_width(S)
     for i in range(width):
         u, v = S[UNIT, i], S[V, i]
         little = NEAR * (abs(v) * u + size)
@@ -310,7 +308,7 @@ def is_crowded(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
             return True
     if near == w:
         return False
-    crowded = near > w + MOST_EXTRA or not corners_hold(S, L, H, J, size)
+    crowded = near > w + MOST_EXTRA or not is_vertex_stable(S, L, H, J, size)
     # Rows that were only looked at leave the set again.
     for k in range(w, int(S[HEAD, COUNT]) & MASK):
         S[SIDE, int(S[ACTIVE, k]) & MASK] = 0.0
@@ -319,8 +317,8 @@ def is_crowded(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
 
 
 @compiled
-def side_near(S: Matrix, i: int, size: float) -> float:
-    """Return the side at which row i is near its limit, 0 for none, 2 for both."""
+def side_near_limit(S: Matrix, i: int, size: float) -> float:
+    """Return the side at which row i is near its limit: 1, −1, 0 for none, 2 for both."""
     u, v = S[UNIT, i], S[V, i]
     little = NEAR * (abs(v) * u + size)
     high, low = (S[HIGH, i] - v) * u <= little, (v - S[LOW, i]) * u <= little
@@ -328,28 +326,25 @@ def side_near(S: Matrix, i: int, size: float) -> float:
 
 
 @compiled
-def corners_hold(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
-    """Whether no rounding of limits moves the point where the rows near theirs meet, nor takes it.
-
-    Those that are independent join the active ones first, for the others to be combinations.
-    """
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+def is_vertex_stable(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
+    """Return whether rounding cannot move the vertex; independent near rows join the set."""
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
-        if S[LOW, i] < S[HIGH, i] and side_near(S, i, size) == 2.0:
+        if S[LOW, i] < S[HIGH, i] and side_near_limit(S, i, size) == 2.0:
             return False
     rest = 0
     for i in range(width):
-        side = side_near(S, i, size) if S[SIDE, i] == 0.0 else 0.0
+        side = side_near_limit(S, i, size) if S[SIDE, i] == 0.0 else 0.0
         if side == 2.0 or (side != 0.0 and not S[H + i, i] > 0.0):
             return False
         if side != 0.0:
             w = int(S[HEAD, COUNT]) & MASK
-            d = direction(S, L, H, J, i, n, w) if w < int(S[HEAD, N]) else 0.0
+            d = solve_direction(S, L, H, J, i, n, w) if w < int(S[HEAD, N]) else 0.0
             if d > STEEP * STEEP * S[H + i, i]:
                 for k in range(w):
                     S[L + w, k] = S[STEP, k]
-                append(S, L, w, i, side, d)
+                append_active_row(S, L, w, i, side, d)
             elif d > DEPENDENT * DEPENDENT * S[H + i, i]:
                 return False
             else:
@@ -359,27 +354,27 @@ def corners_hold(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         S[V0, k] = inf if S[LOW, i] == S[HIGH, i] else 0.0
-    rest = without_squeezed(S, L, H, J, rest, size)
+    rest = remove_squeezing_rows(S, L, H, J, rest, size)
     if rest > MOST_DEPENDENT:
         return False
     for r in range(rest):
         j = int(S[BEFORE, r]) & MASK
-        direction(S, L, H, J, j, n, w)
-        write_shares(S, r, j, side_near(S, j, size), w)
-    return bool(exchanges_hold(S, rest, w) and leads_inwards(S, rest, w))
+        solve_direction(S, L, H, J, j, n, w)
+        write_signed_shares(S, r, j, side_near_limit(S, j, size), w)
+    return bool(is_stable_under_exchange(S, rest, w) and has_inward_direction(S, rest, w))
 
 
 @compiled
-def without_squeezed(S: Matrix, L: int, H: int, J: int, rest: int, size: float) -> int:
-    """Take rows that squeeze others to their limits exactly from the list; how many are left."""
+def remove_squeezing_rows(S: Matrix, L: int, H: int, J: int, rest: int, size: float) -> int:
+    """Unlist rows that hold others exactly at their limits; return how many are left."""
     n, w, left = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK, rest
-    A = J + width_of(S)
+    A = J + row_width(S)
     for _ in range(rest):
         before, left = left, 0
         for r in range(before):
             i = int(S[BEFORE, r]) & MASK
-            direction(S, L, H, J, i, n, w)
-            if not squeezes(S, A, i, side_near(S, i, size), n, w):
+            solve_direction(S, L, H, J, i, n, w)
+            if not forces_equality(S, A, i, side_near_limit(S, i, size), n, w):
                 S[BEFORE, left] = i
                 left += 1
         if left == before:
@@ -388,17 +383,14 @@ def without_squeezed(S: Matrix, L: int, H: int, J: int, rest: int, size: float) 
 
 
 @compiled
-def squeezes(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
-    """Whether row j leaves those it is a combination of no room, to the last bit.
-
-    Rows and limits of whole numbers are added without rounding.
-    """
+def forces_equality(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
+    """Return whether row j exactly leaves the active rows it combines from no room."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         if S[V0, k] < inf and side * S[SIDE, i] * S[R, k] * S[UNIT, j] > NONE * S[UNIT, i]:
             return False
     for c in range(n + 1):
-        total = entry(S, A, j, side, c, n)
+        total = row_entry(S, A, j, side, c, n)
         whole = total == floor(total) and abs(total) < LARGEST_WHOLE
         for k in range(w):
             share = floor(S[R, k] + 0.5)
@@ -406,7 +398,7 @@ def squeezes(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
                 return False
             if share != 0.0:
                 i = int(S[ACTIVE, k]) & MASK
-                x = entry(S, A, i, S[SIDE, i], c, n)
+                x = row_entry(S, A, i, S[SIDE, i], c, n)
                 whole &= x == floor(x) and abs(share * x) < LARGEST_WHOLE
                 total -= share * x
         if total != 0.0 or not whole:
@@ -418,8 +410,8 @@ def squeezes(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
 
 
 @compiled
-def entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
-    """Return an entry of row i of C; behind the last its limit."""
+def row_entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
+    """Return an entry of row i of C = [I; A]; in column n its limit."""
     if column == n:
         return float(S[HIGH, i] if side > 0.0 else S[LOW, i])
     if i < n:
@@ -428,8 +420,8 @@ def entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
 
 
 @compiled
-def write_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
-    """side_j a_k side_k of row j in row r of SHARES, in lengths of the rows; none of equalities."""
+def write_signed_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
+    """Write side_j a_k side_k of row j, by length, into row r of SHARES; 0 of equalities."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         share = side * S[SIDE, i] * S[R, k] * S[UNIT, j] / S[UNIT, i]
@@ -437,8 +429,8 @@ def write_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
 
 
 @compiled
-def exchanges_hold(S: Matrix, rest: int, w: int) -> bool:
-    """Whether each row may take the place of any it has a share of, and any two of any two."""
+def is_stable_under_exchange(S: Matrix, rest: int, w: int) -> bool:
+    """Return whether rows may replace active ones without near-dependent rows."""
     for r in range(rest):
         partners = 0
         for k in range(w):
@@ -450,14 +442,14 @@ def exchanges_hold(S: Matrix, rest: int, w: int) -> bool:
                 together |= S[SHARES + r, k] * S[SHARES + q, k] != 0.0
             if q != r and together:
                 partners += 1
-                if partners > 1 or not pair_holds(S, SHARES + r, SHARES + q, w):
+                if partners > 1 or not has_stable_minors(S, SHARES + r, SHARES + q, w):
                     return False
     return True
 
 
 @compiled
-def pair_holds(S: Matrix, r: int, q: int, w: int) -> bool:
-    """Whether no two columns of two rows of shares are nearly, but not quite, alike."""
+def has_stable_minors(S: Matrix, r: int, q: int, w: int) -> bool:
+    """Return whether no 2 by 2 minor of two share rows is small but not zero."""
     for k in range(w):
         if S[r, k] != 0.0 or S[q, k] != 0.0:
             for c in range(k):
@@ -468,11 +460,8 @@ def pair_holds(S: Matrix, r: int, q: int, w: int) -> bool:
 
 
 @compiled
-def leads_inwards(S: Matrix, rest: int, w: int) -> bool:
-    """Whether lengths b > 0 are found with Σ_k side_j a_k side_k b_k > 0 for every row j.
-
-    The row that has least of it is added to b until all have some.
-    """
+def has_inward_direction(S: Matrix, rest: int, w: int) -> bool:
+    """Return whether some direction leads inwards from all rows near their limits."""
     for k in range(w):
         S[V0, k] = 1.0
     for _ in range(ROUNDS):
