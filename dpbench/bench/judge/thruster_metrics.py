@@ -85,7 +85,7 @@ def _limit_figures(
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
-    unit, G = control.rows.units(step_max), control.rows.G
+    unit, G = control.rows.row_units(step_max), control.rows.G
     low, high = stack_limits(limits[: len(f)])
     lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T

@@ -66,7 +66,7 @@ def consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSeque
     thrusters, rows = commanded_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
-    least, most, _ = rows.without(thrusters.groups[group])
+    least, most, _ = rows.limits_after_loss(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)
     l, u = allocation.limits(required_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program

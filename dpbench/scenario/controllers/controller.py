@@ -12,7 +12,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP, Form
+from dpbench.mpc.condensed_qp import Amplitude, CondensedOptions, CondensedQP
 from dpbench.mpc.move_limits import MoveLimit, move_limit
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.staged_qp import StagedQP
@@ -78,7 +78,7 @@ class Controller(ABC):
         """Return the builder of the condensed QPs."""
         return self.linearisation.condense(self.problem, **self._form(units))
 
-    def _form(self, units: UnitSystem) -> Form:
+    def _form(self, units: UnitSystem) -> CondensedOptions:
         return {"units": units, "amplitude": self.amplitude, "outputs": self.outputs}
 
     def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:

@@ -51,7 +51,7 @@ class ThrusterController(Controller):
         R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
         T_e = thrusters.T_e
         problem = spec.problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
-        changes = tuple((k, rows.without(lost)) for k, lost in spec.losses)
+        changes = tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses)
         return cls(problem=problem, changes=changes, control=control, **planning)
 
     @property
@@ -114,7 +114,7 @@ class CascadeController(ForceController):
                 thrusters.T_e, rows, control.W, R, slack, df_max, step_max
             ),
             by_qp=table.allocation != "pseudo_inverse",
-            losses=tuple((k, rows.without(lost)) for k, lost in spec.losses),
+            losses=tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses),
             **spec.planning,
         )
 

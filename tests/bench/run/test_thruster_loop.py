@@ -175,7 +175,7 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 ) -> None:
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    limits = low, high, _ = ROWS.without(lost)
+    limits = low, high, _ = ROWS.limits_after_loss(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
     clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()

@@ -150,10 +150,10 @@ def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
 
 def test_the_pseudo_inverse_without_lost_thrusters() -> None:
     case, tau = problem(), np.array([5e4, -3e4, 8e5])
-    f = case.pseudo_inverse(case.rows.without({1, 4}).lost) @ tau
+    f = case.pseudo_inverse(case.rows.limits_after_loss({1, 4}).lost) @ tau
     assert (f[[2, 3, 7]] == 0.0).all()
     np.testing.assert_allclose(SHIP.T_e @ f, tau, rtol=1e-9)
-    tunnel_alone = case.pseudo_inverse(case.rows.without({0, 1, 2, 4}).lost) @ tau
+    tunnel_alone = case.pseudo_inverse(case.rows.limits_after_loss({0, 1, 2, 4}).lost) @ tau
     scaled = SHIP.T_e[:, 6] / STEP_MAX
     assert tunnel_alone[6] == pytest.approx(scaled @ (tau / STEP_MAX) / (scaled @ scaled))
 
@@ -186,7 +186,7 @@ def test_equalities_have_two_equal_sides(units: Any) -> None:
 def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
     """From wherever it was, whatever is demanded."""
     case, lost = problem(), {0, 3}
-    builder, limits = AllocationQP(case), case.rows.without(lost)
+    builder, limits = AllocationQP(case), case.rows.limits_after_loss(lost)
     for seed in range(4):
         tau, f = situation(seed)
         for _ in range(int(np.ceil(8.0 / SAMPLE_S / RAMP_DOWN_SHARE)) + 1):
