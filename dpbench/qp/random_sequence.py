@@ -33,12 +33,12 @@ FACTOR = 2.0**-7  # Grid of the factor of a semidefinite P
 
 
 def round_to_grid(x: Vector, unit: float) -> Vector:
-    """Round to the nearest multiples of a power of two."""
+    """Round numbers to the nearest multiples of `unit`, a power of two."""
     return np.rint(x / unit) * unit
 
 
 def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
-    """Draw a positive definite P (n, n) with eigenvalues from cond^−½ to cond^½."""
+    """Draw a random positive definite P (n, n) with condition number `cond`."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
     unit = 2.0 ** (math.ceil(0.5 * math.log2(cond)) - COST_BITS)
@@ -46,13 +46,13 @@ def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
 
 
 def semidefinite_cost(rng: np.random.Generator, n: int, rank: int) -> Matrix:
-    """Draw a positive semidefinite P (n, n) of that rank, exactly."""
+    """Draw a random positive semidefinite P (n, n) of exactly the given rank."""
     B = round_to_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
 
 def unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
-    """Draw rows (m, n) of unit norm; every second one with three entries in four left out."""
+    """Draw random constraint rows (m, n) of unit norm, every second one sparse."""
     A = rng.normal(size=(m, n))
     sparse = rng.random((m, n)) < 0.75
     sparse[::2] = False
@@ -67,7 +67,7 @@ JUMPS = 2  # of the signals
 
 @dataclass(frozen=True, eq=False)
 class Planted:
-    """A sequence with its planted optima.
+    """Random QP sequence together with its known optima, chosen before the QPs were built.
 
     feasible (K,); z (K, n) optimum, NaN where infeasible; y (K, m), y_box (K, n) its multipliers,
     or the Farkas vector of an infeasible step.
@@ -81,16 +81,16 @@ class Planted:
 
 
 def random_sequence(recipe: RandomRecipe) -> QPSequence:
-    """Make the sequence of a recipe; the same recipe gives the same bits."""
+    """Generate the random QP sequence of a recipe, identical to the bit each time."""
     return plant_sequence(recipe).sequence
 
 
 def plant_sequence(recipe: RandomRecipe) -> Planted:
-    """Make the sequence of a recipe with its optima; the same recipe gives the same bits."""
+    """Generate the random QP sequence of a recipe together with its known optima."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
     rng = np.random.default_rng(seed)
-    frame = _make_frame(recipe, family, rng)
+    frame = _draw_frame(recipe, family, rng)
     signals = _draw_signals(rng, recipe.steps, recipe.m + recipe.n)
     share = 0.4 + 0.2 * np.sin(2.0 * np.pi * (np.arange(recipe.steps) / 12.0 + rng.random()))
     steps = []
@@ -110,7 +110,7 @@ def plant_sequence(recipe: RandomRecipe) -> Planted:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Constant parts of a sequence; masks and `twin` run over the rows of [A; I].
+    """Parts of a random QP sequence that are constant over its steps.
 
     lo, hi (n,) : where bounds are, or would be; half (m,) : half the width of a row.
     above, below (m+n,) : whether there is an upper and a lower limit. equal (m+n,) : l = u.
@@ -130,15 +130,17 @@ class _Frame:
 
     @property
     def lb(self) -> Vector:
+        """Lower bounds (n,) of the variables, −inf where there is none."""
         return np.where(self.below[len(self.half) :], self.lo, -np.inf)
 
     @property
     def ub(self) -> Vector:
+        """Upper bounds (n,) of the variables, inf where there is none."""
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
 
 class _Step(NamedTuple):
-    """One step with its optimum, or its Farkas vector beside z = NaN."""
+    """One random QP step with its known optimum, or its Farkas vector where infeasible."""
 
     q: Vector
     l: Vector  # noqa: E741 - as in QuadraticProgram
@@ -148,7 +150,8 @@ class _Step(NamedTuple):
     y_box: Vector
 
 
-def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+    """Draw the constant matrices, bounds and kinds of rows of a random QP sequence."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
     P = semidefinite_cost(rng, n, rank) if family.semidefinite else definite_cost(rng, n, cond)
@@ -175,7 +178,7 @@ def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
 
 
 def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
-    """Draw smooth paths (K, N) of size 0.5 to 2 with `JUMPS` common jumps."""
+    """Draw K steps of N smooth random signals of size 0.5 to 2, with common jumps."""
     size, speed = rng.uniform(0.5, 2.0, N), rng.uniform(0.2, 1.0, N)
     jumps = np.sort(rng.integers(1, max(2, K), JUMPS))
     phase = rng.random((JUMPS + 1, N))[np.searchsorted(jumps, np.arange(K), side="right")]
@@ -183,10 +186,10 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
     return size * np.sin(2.0 * np.pi * turns)
 
 
-def _choose_limits(
+def _choose_active_limits(
     frame: _Frame, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
-    """Choose limits to meet: side (N,) in {−1, 0, 1}, multipliers (N,), mask of near misses (N,).
+    """Choose which limits the optimum of a step meets, with which multipliers.
 
     The `count` strongest signals carry a multiplier, the next ones touch without one.
     """
@@ -213,9 +216,9 @@ def _choose_limits(
 
 
 def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
-    """Return one step from its signals s (m+n,); `count` limits carry a multiplier."""
+    """Build one QP step around a chosen optimum, from its signals s (m + n,)."""
     m = len(frame.half)
-    met, y, near = _choose_limits(frame, family, s, count)
+    met, y, near = _choose_active_limits(frame, family, s, count)
     wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)
     middle, half = 0.5 * (frame.hi + frame.lo), 0.5 * (frame.hi - frame.lo)
     z = round_to_grid(middle + half * wave[m:], POINT)
@@ -236,7 +239,7 @@ def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
 
 
 def _make_infeasible(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
-    """Return the step made infeasible, with the Farkas vector that proves it.
+    """Return the step made infeasible, with a Farkas vector that proves it.
 
     In turn: a row demands more than the bounds allow, or than its copy does.
     """

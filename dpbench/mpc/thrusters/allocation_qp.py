@@ -121,10 +121,8 @@ class AllocationQP:
         """Return the allocation QP of one step for a demanded force tau, in newly allocated memory.
 
         tau : (3,) τ_c, the force demanded [N, N, N·m]; f_prev : (n_f,) forces of the thrusters in
-        the
-        last sample [N]; limits : [N], in force from now on instead of those of the problem; a
-        thruster
-        beyond them may retreat straight to zero (`LimitRampDown`).
+        the last sample [N]; limits : [N], in force from now on instead of those of the problem; a
+        thruster beyond them may retreat straight to zero (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev

@@ -36,7 +36,7 @@ UNIT_ROUNDOFF = Fraction(1, 2**53)
 def compiled_residual(K, x, b):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """b − K x as the certificate's kernel calculates it, compiled."""
     r = np.zeros(len(b))
-    kernels._residual(K, x, b, r)
+    kernels._write_residual(K, x, b, r)
     return r
 
 
@@ -63,7 +63,7 @@ def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int)
     # With the product rounded once as the other side, the residual is that rounding.
     b = np.array([-float(value) for value in _exactly(K, x, np.zeros(N))[0]])
     r, interpreted = compiled_residual(K, x, b), np.zeros(N)
-    kernels._residual.py_func(K, x, b, interpreted)
+    kernels._write_residual.py_func(K, x, b, interpreted)
     assert (r == interpreted).all()
     steps = (N + 1) * UNIT_ROUNDOFF
     for found, exact, size in zip(r.tolist(), *_exactly(K, x, b), strict=True):
