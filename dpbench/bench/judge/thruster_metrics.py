@@ -27,7 +27,7 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     if control is None:
         return {}
     thrusters = control.thrusters
-    size, most = thrusters.size(f), thrusters.thrust_N
+    size, most = thrusters.magnitudes(f), thrusters.thrust_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 

@@ -34,10 +34,9 @@ NEVER = 2.0  # A limit no thruster reaches: in units of its nominal thrust it gi
 class StaticAllocation:
     """Builder of the QPs that test whether thrusters can balance a static load.
 
-    thrusters : p of them; their own sectors are ignored, as pieces carry them. sides : of the
-    polygon
-    of an azimuth, even. sectors : (p,) whether any piece of a thruster has a sector; chords : (p,)
-    the most chords any piece of it has.
+    thrusters : p of them; their own sectors are ignored, as pieces carry them.
+    sides : of the polygon of an azimuth, even.
+    sectors, chords : (p,) whether any piece of a thruster has a sector, and its most chords.
     """
 
     def __init__(
@@ -56,9 +55,8 @@ class StaticAllocation:
     ) -> QuadraticProgram:
         """Return the allocation QP of one static load, for chosen convex pieces and lost thrusters.
 
-        load : (3,) mean load times its factor [N, N, N·m]; shares : (p,) effective over nominal
-        thrust;
-        chosen : (p,) the piece of each thruster; lost : numbers of those that give nothing.
+        load : (3,) mean load times its factor [N, N, N·m]; chosen : (p,) a piece of each thruster;
+        shares : (p,) effective over nominal thrust; lost : indices of those that give nothing.
         """
         T, rows = self._thrusters.thrust_N, self._rows
         given = [i not in lost for i in range(len(T))]
