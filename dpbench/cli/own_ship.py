@@ -19,7 +19,7 @@ from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, list_allowed
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
-from dpbench.scenario.hull_files import Hull, read_mss, read_table
+from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -141,7 +141,11 @@ def _new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> 
         raise SituationError(WHERE, both)
     hull: Hull | None = None
     if hull_file := options.from_mss or options.from_csv:
-        hull = read_mss(Path(hull_file)) if options.from_mss else read_table(Path(hull_file))
+        hull = (
+            read_mss(Path(hull_file))
+            if options.from_mss
+            else read_coefficient_table(Path(hull_file))
+        )
     own = _particulars(numbers, hull)
     thrust = _thrust(numbers, own)
     if options.like is not None and options.like not in scaling.LIBRARY:
@@ -252,7 +256,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
     """Return the vessel file; `command` wrote it."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
-    added = np.diag(vessel.M) - scaling.rigid_body(ship.own)
+    added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
     added = added / scaling.regression_added_mass(ship.own)
     return render_document(
         "own_vessel.toml",

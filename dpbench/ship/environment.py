@@ -128,7 +128,7 @@ class Environment:
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
     def force(self, t_s: ArrayLike) -> Matrix:
-        """Return slow forces and squalls (..., 3) [N, N, N·m], north, east and yaw, at times t_s."""
+        """Return slow forces and squalls (..., 3) [N, N, N·m], north, east, yaw, at times t_s."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
         if self.ramp_s > 0:

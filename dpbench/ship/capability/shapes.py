@@ -114,7 +114,7 @@ class _ThrustEdge:
     def _end_tangents(
         self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
-        """Return the tangents at both ends of an edge segment, and its chord where there is a loss."""
+        """Return the tangents at both ends of an edge segment, and its chord in a range of loss."""
         if self.share(0.5 * (a + b)) >= 1.0:
             return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
         length = math.hypot(q[0] - p[0], q[1] - p[1])
