@@ -163,7 +163,7 @@ class CondensedMatrices:
 
 
 def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
-    """Condense the MPC problem: eliminate the states and return its constant matrices."""
+    """Condense the MPC problem: eliminate the states, return its constant matrices (eq. 15-24)."""
     model, Q = problem.model, problem.Q
     matrices = model.A, model.B, model.C, Q, problem.R
     E, F_x, F_held, F, h = condense_blocks(*matrices, problem.N_p, problem.N_c)

@@ -156,7 +156,7 @@ class CondensedQP:
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP data q, l and u of one step, in newly allocated memory.
+        """Return the QP data q, l and u of one step (eq. 20-24), in newly allocated memory.
 
         Parameters
         ----------
@@ -236,7 +236,7 @@ class CondensedQP:
         return z
 
     def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
-        """Return J0, the part of the cost J that does not depend on z: J = objective(z) + J0."""
+        """Return J0 (eq. 24), the part of the cost J that z does not change."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

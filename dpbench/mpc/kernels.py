@@ -55,7 +55,7 @@ def product(X, Y, out):
 
 @njit(cache=True)
 def markov_blocks(A, B, C, F, h):
-    """Write F_t = C A^{t+1} and the Markov parameters h_t = C A^t B for t = 0 … N_p − 1."""
+    """Write F_t = C A^{t+1} and the Markov parameters h_t = C A^t B, t = 0 … N_p − 1 (eq. 15)."""
     N_p, n_y = h.shape[0], h.shape[1]
     G = C.copy()
     for t in range(N_p):
@@ -78,7 +78,7 @@ def _add_product(left, right, out):
 
 @njit(cache=True)
 def hessian_blocks(h, Q, R, N_c, E):
-    """Write the Hessian E = Φᵀ Q̄ Φ + R̄ of the condensed QP, without forming Φ.
+    """Write the Hessian E = Φᵀ Q̄ Φ + R̄ of the condensed QP (eq. 24), without forming Φ.
 
     Last block row by sums over the horizon, the others along the block diagonals,
     E_ij = E_{i+1,j+1} + h_{N_p−1−i}ᵀ Q h_{N_p−1−j}: the work grows like the output.
@@ -130,7 +130,7 @@ def _copy_lower_to_upper(E):
 
 @njit(cache=True)
 def gradient_blocks(h, F, Q, F_x, F_held):
-    """Write the gradient maps F_x = Φᵀ Q̄ F of the state and F_held of a constant reference."""
+    """Write the maps F_x = Φᵀ Q̄ F of the state and F_held of a held reference (eq. 24)."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
@@ -162,7 +162,7 @@ def gradient_blocks(h, F, Q, F_x, F_held):
 
 @njit(cache=True)
 def condense_blocks(A, B, C, Q, R, N_p, N_c):
-    """Return the matrices E, F_x, F_held, F and h of the condensed MPC problem."""
+    """Return the matrices E, F_x, F_held, F and h of the condensed MPC problem (eq. 15-24)."""
     n_x, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
     F = np.empty((N_p * n_y, n_x))
     h = np.empty((N_p, n_y, n_u))
@@ -211,7 +211,7 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 @njit(cache=True)
 def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
-    """Return the affine map Z from [x; y_ref; u_prev; 1] to the QP vectors [q; l; u].
+    """Return the affine map Z from [x; y_ref; u_prev; 1] to the QP vectors [q; l; u] (eq. 20-24).
 
     `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.
     """

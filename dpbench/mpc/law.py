@@ -24,7 +24,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained law.
+    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained law (eq. 33).
 
     K_u (n_u, n_u) adds − K_u u(k−1) to the law where the force itself is weighed; else None.
     """
@@ -35,7 +35,7 @@ class Gains:
 
 
 def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
-    """Return the increments ΔU (n,) that minimise the MPC cost without constraints, in SI units."""
+    """Return the increments ΔU (n,) that minimise the cost without constraints (eq. 27), in SI."""
     return -scipy.linalg.solve(matrices.E, matrices.F_x @ x + matrices.F_y @ Y_d, assume_a="pos")
 
 
@@ -67,11 +67,11 @@ class UnconstrainedLaw:
 
 
 def build_closed_loop(model: StateSpace, law: Gains) -> Matrix:
-    """Return the closed-loop matrix A − B K_mpc (n_x, n_x)."""
+    """Return the closed-loop matrix A − B K_mpc (n_x, n_x) (eq. 34)."""
     return model.A - model.B @ law.K_mpc
 
 
 def compute_closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
-    """Return the eigenvalues of the closed loop A − B K_mpc, largest modulus first."""
+    """Return the eigenvalues of the closed loop (eq. 35), largest modulus first."""
     roots = np.linalg.eigvals(build_closed_loop(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]

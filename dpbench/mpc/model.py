@@ -40,7 +40,7 @@ class ThetaLayout(NamedTuple):
 
 
 def rotation_matrix(psi_rad: float) -> Matrix:
-    """Return the rotation matrix R(ψ) (3, 3) from the body frame to the north-east-down frame."""
+    """Return the rotation matrix R(ψ) (3, 3) from the body to the north-east-down frame (eq. 3)."""
     c, s = np.cos(psi_rad), np.sin(psi_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -84,7 +84,7 @@ class StateSpace:
 
 
 def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
-    """Return the continuous matrices A_c, B_c, C_c of the ship linearised at heading ψ0."""
+    """Return continuous matrices A_c, B_c, C_c of the ship linearised at heading ψ0 (eq. 5-8)."""
     zero = np.zeros((AXES, AXES))
     A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation_matrix(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
@@ -93,10 +93,9 @@ def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
 
 
 def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
-    """Discretise a continuous model exactly under zero-order hold, by one matrix exponential.
+    """Discretise a continuous model exactly under zero-order hold (eq. 9-10).
 
-    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE Trans. Automat. Contr.
-    23(3)).
+    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE TAC 23(3)).
     """
     n_x, n_u = continuous.n_x, continuous.n_u
     block = np.zeros((n_x + n_u, n_x + n_u))

@@ -27,10 +27,9 @@ from dpbench.ship.layout import AXES
 class OutputBounds:
     """Soft bounds on predicted position (a watch circle) and on predicted speed.
 
-    sample_s : ΔT.
+    sample_s : ΔT; sides : K.
     radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.
-    sides : K.
     """
 
     sample_s: float

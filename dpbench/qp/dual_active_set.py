@@ -75,8 +75,7 @@ class Outcome:
 
     active : rows of the final set; side : (p,) +1 where a row was added at its upper limit, −1 at
     its lower one; multipliers : (p,) signed, positive at an upper limit, at `INFEASIBLE` a Farkas
-    ray;
-    iterations : rows added or dropped.
+    ray; iterations : rows added or dropped.
     """
 
     ending: Ending
@@ -119,8 +118,7 @@ class DualActiveSet:
     def run(self, start: Vector | None = None) -> Outcome:
         """Add violated rows to the active set until none is left or no step is possible.
 
-        start : (p,) +1 or −1 for rows at their upper or lower limit to begin with, independent of
-        one another; None for the empty set.
+        start : (p,) +1 or −1 for independent rows to begin with, at their upper or lower limit.
         """
         if start is not None:
             self._warm_start(start)
@@ -187,7 +185,10 @@ class DualActiveSet:
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
                 if gap > self._contradiction * self._violation_scale(limit):
-                    return self._write_farkas_ray(j, side, r)
+                    # The ray that proves row j, dependent on the active ones, contradictory.
+                    lam[:] = 0.0
+                    lam[self._active], lam[j] = -r, side
+                    return Ending.INFEASIBLE
                 self._ignore_row(j, before if rounding else None)
                 return None
             t = min(t_primal, t_dual)
@@ -247,13 +248,6 @@ class DualActiveSet:
         """Return the size that a violation is relative to: |limit| plus the largest entry of x."""
         return abs(limit) + float(np.max(np.abs(self._x), initial=0.0))
 
-    def _write_farkas_ray(self, j: int, side: float, r: Vector) -> Ending:
-        """Write the Farkas ray that proves a violated, dependent row contradictory."""
-        self._lam[:] = 0.0
-        self._lam[self._active] = -r
-        self._lam[j] = side
-        return Ending.INFEASIBLE
-
     def _ignore_row(self, j: int, before: _State | None) -> None:
         """Exclude row j from the search: it repeats active rows up to rounding.
 
@@ -276,7 +270,7 @@ def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Factorised constant part of all QPs with the same P and rows C.
+    """Constant part of all QPs with the same P and rows C: L (n, n), scaled J (n, N), scale (N,).
 
     Columns of J have unit length: the method is independent of the units of z and of the rows.
     """

@@ -16,7 +16,6 @@ LARGEST = (120, 300)  # Most variables and rows; with more, sums would be rounde
 class Family:
     """Family of random QPs, defined by the properties that make them hard.
 
-    shows : description.
     cond : condition of P where a recipe names none; semidefinite : P has less than full rank.
     touching : rows and bounds met with a zero multiplier, as a share of n.
     twins : share of rows that are written twice; equal, free, one_sided : shares of rows.
@@ -79,7 +78,8 @@ class RandomRecipe:
             raise _recipe_error("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
         if not 2 <= self.n <= LARGEST[0]:
             raise _recipe_error("n", self.n, f"2 to {LARGEST[0]}")
-        least = self._least_rows
+        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
+        least = rows.get(self.family, 2)
         most = LARGEST[1] if self.family != "no_rows" else 0
         if not least <= self.m <= most:
             allowed = f"{least} to {most} for {self.family} with n = {self.n}"
@@ -91,12 +91,6 @@ class RandomRecipe:
             raise _recipe_error("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
             raise _recipe_error("cond", self.cond, "1 to 1e8, or 0 for that of the family")
-
-    @property
-    def _least_rows(self) -> int:
-        """Smallest number of constraint rows that the family needs."""
-        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
-        return rows.get(self.family, 2)
 
     @property
     def name(self) -> str:

@@ -145,8 +145,7 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
 def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
     """Return a copy of a solver's answer with checked types, or status ERROR if malformed.
 
-    answer : what a solver gave; n, m : variables and rows of its QP.
-    A plain `Solution`; of a malformed answer one with the status ERROR and the fault in `detail`.
+    n, m : variables and rows of its QP; the fault of a malformed answer is in `detail`.
     """
     try:
         return _copy_answer(answer, n, m)

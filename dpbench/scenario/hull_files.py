@@ -58,7 +58,10 @@ class Hull:
 
 def read_mss(path: Path) -> Hull:
     """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
-    vessel = _read_vessel_structure(path)
+    names, vessel = read_structure(path, "vessel")
+    if not vessel:
+        found = ", ".join(names)[:200] or "nothing"
+        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
     rigid = _read_field(vessel, path, "MRB")
     omega = np.atleast_1d(_read_field(vessel, path, "freqs")).ravel()
     added, potential = (_read_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
@@ -81,15 +84,6 @@ def read_mss(path: Path) -> Hull:
             )
     method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
     return Hull(M, D, _read_dimensions(vessel), method, remarks)
-
-
-def _read_vessel_structure(path: Path) -> _Fields:
-    """Read the fields of the structure `vessel` in a MATLAB file; InputError without it."""
-    names, fields = read_structure(path, "vessel")
-    if not fields:
-        found = ", ".join(names)[:200] or "nothing"
-        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
-    return fields
 
 
 def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:

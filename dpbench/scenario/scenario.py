@@ -140,11 +140,7 @@ class Scenario:
 def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
     """Load a scenario by name or from a TOML file; `scenario@vessel` replaces its vessel.
 
-    `scenario@vessel` is the scenario with another vessel than its own. A relative path is looked
-    for in the folder `beside` first, then in the working folder.
-
-    Raises
-    ------
+    A relative path is looked for in the folder `beside` first, then in the working folder. Raises
     InputError : one line naming file, key, what was found and what is allowed.
     """
     name, at, other = str(name_or_path).partition("@")

@@ -71,7 +71,6 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
     """Return the mean force (3,) [N, N, N·m] of weather without squalls on the ship at rest.
 
     The squared envelope of the drift has the mean Hs²/8.
-
     Raises InputError where the weather has wind or drift and the vessel no hull data for it.
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)

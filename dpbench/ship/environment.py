@@ -68,8 +68,9 @@ class Current:
 
         M ν̇ + D (ν − ν_c) = τ + …,   ν_c = R(ψ)ᵀ [V_c cos β, V_c sin β, 0]
 
-    D is meant for low relative speed; the term of added mass in ν̇_c, which only a turning ship
-    meets, is left out with the Coriolis terms that the paper leaves out (eq. 4).
+    V_c = speed_mps, to the direction β = to_rad from north. D is meant for low relative speed. The
+    term of added mass in ν̇_c, which only a turning ship meets, is left out with the Coriolis terms
+    that the paper leaves out (eq. 4).
     """
 
     speed_mps: float
@@ -88,7 +89,7 @@ class SensorNoise:
     std: Vector
 
     def table(self, samples: int, seed: int) -> Matrix:
-        """Draw the measurement noise (samples, 3) [m, m, rad] of a seed."""
+        """Draw the noise (samples, 3) of a seed; a longer table begins with the shorter one."""
         stream = random_stream(seed, "noise")
         return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
@@ -138,7 +139,7 @@ class Environment:
         return b
 
     def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
-        """Compute wind speed and wave envelope at all integration stages, the costly part."""
+        """Return wind speed and wave envelope at all stages: (steps, 2·substeps + 1) each."""
         start, offset = _stage_times(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
         if self.wind is not None:
@@ -150,7 +151,7 @@ class Environment:
     def stage_table(
         self, steps: int, sample_s: float, substeps: int, drawn: WeatherDraw | None = None
     ) -> Matrix:
-        """Return the weather at each stage of the Runge-Kutta sub-steps of each sample.
+        """Return the weather at all Runge-Kutta stages: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
         entry the end of the sample; the columns are those of `layout`. `drawn` saves summing up
@@ -195,7 +196,7 @@ class Environment:
         return coefficients
 
     def measured_motion(self, samples: int, sample_s: float) -> Matrix:
-        """Return the wave-frequency motion and its rate (samples, 6) that the sensors measure."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at the samples: (samples, 6), SI."""
         if self.motion is None:
             return np.zeros((samples, STATE))
         t = sample_s * np.arange(samples, dtype=np.float64)

@@ -26,8 +26,8 @@ class Vessel:
     D : (3, 3) linear damping [kg/s, kg·m/s, kg·m²/s], positive definite symmetric part.
     tau_min, tau_max : (3,) limits of the force [N, N, N·m]; zero lies inside.
     rate_max : (3,) limits of its rate [N/s, N/s, N·m/s].
-    windage, reflection, thrusters, capability : needed for wind, for wave drift, where thrusters
-        are commanded, and for DP capability level 1.
+    windage, reflection, thrusters, capability : for wind, wave drift, commanded thrusters, and DP
+        capability level 1.
     """
 
     id: str

@@ -21,7 +21,7 @@ RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 wh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
-    """Equilibration factors, powers of two, of the matrices P and C = [A; I] of a QP."""
+    """Equilibration factors D (n,), R (N,) and c, powers of two, of a QP's matrices P and C."""
 
     D: Vector
     R: Vector

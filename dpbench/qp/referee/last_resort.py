@@ -102,9 +102,10 @@ def enclosure_certificate(
     gap = float((size * slack)[~equal].sum()) * OUTWARD
     r = exact.P @ near.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
     r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ near.e) * OUTWARD
-    x = _error_radius(float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD, gap, omega)
-    if x is None:
+    rho = float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD
+    if not omega * rho**2 * OUTWARD <= 0.25:
         return None
+    x = (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
     z = near.z.floats()
     # z.floats() is off by half a unit in the last place at most.
     bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
@@ -193,13 +194,6 @@ def _bound_penalised_inverse(
     return system.inverse_bounds() if system.proven else None
 
 
-def _error_radius(rho: float, gap: float, omega: float) -> float | None:
-    """Return the radius of a ball that contains every optimum, or None where none is proven."""
-    if not omega * rho**2 * OUTWARD <= 0.25:
-        return None
-    return (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
-
-
 PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)  # Weights of the proximal term where P is singular
 PROXIMAL_STEPS = 6  # With each of them
 SETTLED = 1e-9  # Relative change of the proximal point at which its active set is taken
@@ -232,8 +226,7 @@ class LastResort:
     def certify(self, problem: JointQP) -> Proof | None:
         """Certify the optimum of a QP that the other certificates left open, or return None.
 
-        Its multipliers are NaN where implied limits took part, whose multipliers are not the
-        problem's.
+        Its multipliers are NaN where implied limits took part: theirs are not the problem's.
         """
         if not (self._safe and is_scalable(problem.q, problem.L, problem.U)):
             return None

@@ -343,11 +343,7 @@ class Referee:
 
 
 def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """Return a fresh referee that shares cached data of equal matrices in this thread.
-
-    It shares the data of the same matrices in this thread: runs of one controller in many
-    realisations have the same.
-    """
+    """Return a fresh referee that shares cached data of equal matrices in this thread."""
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
     return _cached_referee(get_ident(), len(lb), *parts).reset_copy()
 

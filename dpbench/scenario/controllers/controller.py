@@ -12,7 +12,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedOptions, CondensedQP
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.move_limits import MoveLimit, move_limit
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.staged_qp import StagedQP
@@ -76,11 +76,8 @@ class Controller(ABC):
 
     def build_qp(self, units: UnitSystem = "scaled") -> CondensedQP:
         """Return the builder of this controller's condensed QPs, in scaled or SI units."""
-        return self.linearisation.condense(self.problem, **self._condensed_options(units))
-
-    def _condensed_options(self, units: UnitSystem) -> CondensedOptions:
-        """Return the units, limit policy and output bounds for `CondensedQP`."""
-        return {"units": units, "amplitude": self.amplitude, "outputs": self.outputs}
+        policy = {"amplitude": self.amplitude, "outputs": self.outputs}
+        return self.linearisation.condense(self.problem, units=units, **policy)
 
     def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:
         """Return the builder of the sparse QPs; InputError where there is no sparse form."""

@@ -209,7 +209,7 @@ class PoseTable(FileModel):
 
 
 class StartTable(PoseTable):
-    """Position, heading and velocity of the ship at the first sample."""
+    """Position and heading of the ship at the first sample, and its velocity over ground."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"surge_mps", "sway_mps", "yaw_degps"})
 

@@ -176,7 +176,7 @@ class CapabilityTable(FileModel):
 
 
 class VesselFile(FileModel):
-    """Contents of a vessel file, `problems/vessels/*.toml`.
+    """Contents of a vessel file, with matrices in SI units or dimensionless in the Bis system.
 
     `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
     """

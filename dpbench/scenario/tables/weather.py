@@ -153,7 +153,7 @@ class NoiseTable(FileModel):
 
 
 class EnvironmentTable(FileModel):
-    """Weather of a scenario: slow forces, squalls, wind, current, waves and sensor noise.
+    """Slow forces b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), and the rest of the weather.
 
     North, east, yaw, in kN and kN·m.
     """

@@ -50,7 +50,7 @@ def vented_share(
 
 @dataclass(frozen=True)
 class Loss:
-    """Share of an azimuth's thrust that is left in a range of directions."""
+    """Share of an azimuth's thrust left between directions start and end [rad], least at worst."""
 
     start: float
     worst: float

@@ -249,8 +249,8 @@ def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matri
 def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
     """Return a unit (n,) for each state, so that the Riccati equation is well scaled.
 
-    That time is 1/ω0 with a wave filter, else the time in which the bias alone moves the ship by
-    σ: bias noise · t^2.5 = M σ.
+    Lengths are in σ of the sensor; times in 1/ω0 with a wave filter, else in the time in which the
+    bias alone moves the ship by σ: bias noise · t^2.5 = M σ.
     """
     sigma, mass = tuning.measurement_std, np.diag(ship.M)
     if tuning.waves is None:
@@ -276,7 +276,7 @@ def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
 def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
-    """Predict and correct the filter state x (n,) in place by one sample."""
+    """Predict and correct the filter state x (n,) by one sample; fill epsilon, estimate, change."""
     n, pose = len(x), len(measured) - AXES
     heading = nearest_turn(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)

@@ -116,7 +116,7 @@ class FirstOrderMotion:
     heading_rad_per_m: float = 0.0
 
     def table(self, t_s: Vector, seed: int) -> Matrix:
-        """Return the wave-frequency motion and its rate (K, 6) at the times t_s (K,)."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at times t_s (K,): (K, 6), SI."""
         harmonics, here = self.sea.harmonics(seed), np.zeros(1)
         c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
         columns = []

@@ -47,7 +47,8 @@ GAIN = 1e6  # How much finer the violation is resolved from one linear program t
 class LeastViolation:
     """Rigorous bounds of the least relative violation of a QP without a feasible point.
 
-    lower is 0 without a vector; upper inf where no point was found, or `lower` > `rounding`.
+    lower : by a Farkas vector, 0 without one; upper : by a point, inf where none was found or
+    `lower` > `rounding`; rounding : γ_{n+2}.
     """
 
     lower: float
@@ -72,7 +73,11 @@ def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> Leas
     least = 0.0 if y is None else _violation_by_vector(problem, y, upper, lower)
     if least > rounding:
         return LeastViolation(least, np.inf, rounding)
-    return LeastViolation(least, _violation_by_point(problem, upper, lower, rounding), rounding)
+    best = float(np.inf)
+    for point in _refine_points(problem, upper, lower):
+        if (best := min(best, point.violation)) <= rounding:
+            break
+    return LeastViolation(least, best, rounding)
 
 
 def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
@@ -156,15 +161,6 @@ class _Point:
 
     violation: float
     y: Vector
-
-
-def _violation_by_point(problem: JointQP, upper: Vector, lower: Vector, enough: float) -> float:
-    """Return the violation of the best point found, an upper bound of the least violation."""
-    best = float(np.inf)
-    for point in _refine_points(problem, upper, lower):
-        if (best := min(best, point.violation)) <= enough:
-            break
-    return best
 
 
 def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
