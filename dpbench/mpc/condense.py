@@ -28,7 +28,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
+from dpbench.mpc.kernels import build_affine_blocks, condense_blocks, write_summed_rows
 from dpbench.mpc.model import StateSpace, rotate_model
 from dpbench.mpc.terminal import TerminalCost, build_terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
@@ -115,7 +115,7 @@ def toeplitz(h: Floats, N_c: int) -> Matrix:
 def summed_rows(N_c: int, G: Matrix) -> Matrix:
     """Return (I ⊗ G) C2, which maps increments (N_c·n_u,) to rows G u of each move (N_c·r,)."""
     rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
-    summed_blocks(G, rows)
+    write_summed_rows(G, rows)
     return rows
 
 
@@ -195,5 +195,5 @@ def build_affine_map(
         unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))
     of_theta = matrices.F_x, matrices.F_held, matrices.F_u
     limits = problem.G, problem.u_min, problem.u_max
-    Z: Matrix = map_blocks(*of_theta, *limits, unit, row_unit)
+    Z: Matrix = build_affine_blocks(*of_theta, *limits, unit, row_unit)
     return Z

@@ -206,7 +206,7 @@ class CondensedQP:
         """Write changed amplitude limits into l and u of a step."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
-            self._ramp_down.write(u_prev, limits, step.l, step.u)
+            self._ramp_down.write_limits(u_prev, limits, step.l, step.u)
         elif self.amplitude == "reachable":
             of_rows = limits.low, limits.high, problem.row_max, unit
             reachable_limits(u_prev, *of_rows, step.l, step.u, problem.N_c)

@@ -43,7 +43,7 @@ TILE = 32  # Rows and columns of a tile of P: 8 kB, of which two fit the smalles
 
 
 @njit(cache=True)
-def product(X, Y, out):
+def write_product(X, Y, out):
     """Write the matrix product X Y into `out`."""
     for i in range(X.shape[0]):
         for j in range(Y.shape[1]):
@@ -54,14 +54,14 @@ def product(X, Y, out):
 
 
 @njit(cache=True)
-def markov_blocks(A, B, C, F, h):
+def write_markov_blocks(A, B, C, F, h):
     """Write F_t = C A^{t+1} and the Markov parameters h_t = C A^t B, t = 0 … N_p − 1 (eq. 15)."""
     N_p, n_y = h.shape[0], h.shape[1]
     G = C.copy()
     for t in range(N_p):
-        product(G, B, h[t])
+        write_product(G, B, h[t])
         following = F[t * n_y : (t + 1) * n_y]
-        product(G, A, following)
+        write_product(G, A, following)
         G = following
 
 
@@ -77,7 +77,7 @@ def _add_product(left, right, out):
 
 
 @njit(cache=True)
-def hessian_blocks(h, Q, R, N_c, E):
+def write_hessian_blocks(h, Q, R, N_c, E):
     """Write the Hessian E = Φᵀ Q̄ Φ + R̄ of the condensed QP (eq. 24), without forming Φ.
 
     Last block row by sums over the horizon, the others along the block diagonals,
@@ -86,7 +86,7 @@ def hessian_blocks(h, Q, R, N_c, E):
     N_p, n_y, n_u = h.shape
     Qh = np.empty_like(h)
     for t in range(N_p):
-        product(Q, h[t], Qh[t])
+        write_product(Q, h[t], Qh[t])
     E[:] = 0.0
     last = N_c - 1
     for j in range(N_c):
@@ -129,12 +129,12 @@ def _copy_lower_to_upper(E):
 
 
 @njit(cache=True)
-def gradient_blocks(h, F, Q, F_x, F_held):
+def write_gradient_blocks(h, F, Q, F_x, F_held):
     """Write the maps F_x = Φᵀ Q̄ F of the state and F_held of a held reference (eq. 24)."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
-        product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
+        write_product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
     F_x[:] = 0.0
     N_c, n_x = F_x.shape[0] // n_u, F_x.shape[1]
     part = np.empty(n_x)
@@ -169,14 +169,14 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
     E = np.empty((N_c * n_u, N_c * n_u))
     F_x = np.empty((N_c * n_u, n_x))
     F_held = np.empty((N_c * n_u, n_y))
-    markov_blocks(A, B, C, F, h)
-    hessian_blocks(h, Q, R, N_c, E)
-    gradient_blocks(h, F, Q, F_x, F_held)
+    write_markov_blocks(A, B, C, F, h)
+    write_hessian_blocks(h, Q, R, N_c, E)
+    write_gradient_blocks(h, F, Q, F_x, F_held)
     return E, F_x, F_held, F, h
 
 
 @njit(cache=True)
-def summed_blocks(G, rows):
+def write_summed_rows(G, rows):
     """Write (I ⊗ G) C2 into rows (N_c·r, N_c·n_u): G times the sum of increments up to a move."""
     r, n_u = G.shape
     n = rows.shape[1]
@@ -210,7 +210,7 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 
 @njit(cache=True)
-def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
+def build_affine_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
     """Return the affine map Z from [x; y_ref; u_prev; 1] to the QP vectors [q; l; u] (eq. 20-24).
 
     `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.

@@ -87,7 +87,7 @@ class ThrusterLimit:
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            closing = self._ramp_down.limits(u, limits)
+            closing = self._ramp_down.compute_limits(u, limits)
             u_min, u_max = (side[0] * self._row_max + before for side in closing)
             beyond = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)

@@ -196,7 +196,7 @@ class StagedQP:
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._ramp_down.limits(force, limits)
+        low, high = self._ramp_down.compute_limits(force, limits)
         return along + low * unit, along + high * unit
 
     def _preview_gradient(self, y_ref: Matrix) -> Vector:

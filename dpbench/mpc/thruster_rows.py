@@ -152,13 +152,13 @@ class LimitRampDown:
         table[G_FROM:, :r] = rows.G.T
         self._table: Matrix = table
 
-    def limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+    def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
         """Return low and high (N_c, r) at each move, relative to G f and in units of the rows."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
-        self.write(f, limits, l.reshape(-1), u.reshape(-1))
+        self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
-    def write(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+    def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
         """Write the gradually tightened limits of each move into its first r rows in l and u."""
         _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 

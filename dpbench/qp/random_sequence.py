@@ -37,7 +37,7 @@ def round_to_grid(x: Vector, unit: float) -> Vector:
     return np.rint(x / unit) * unit
 
 
-def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
+def draw_definite(rng: np.random.Generator, n: int, cond: float) -> Matrix:
     """Draw a random positive definite P (n, n) with condition number `cond`."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
@@ -45,13 +45,13 @@ def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
     return round_to_grid(0.5 * (P + P.T), unit)
 
 
-def semidefinite_cost(rng: np.random.Generator, n: int, rank: int) -> Matrix:
+def draw_semidefinite(rng: np.random.Generator, n: int, rank: int) -> Matrix:
     """Draw a random positive semidefinite P (n, n) of exactly the given rank."""
     B = round_to_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
 
-def unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
+def draw_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
     """Draw random constraint rows (m, n) of unit norm, every second one sparse."""
     A = rng.normal(size=(m, n))
     sparse = rng.random((m, n)) < 0.75
@@ -154,8 +154,8 @@ def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
     """Draw the constant matrices, bounds and kinds of rows of a random QP sequence."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
-    P = semidefinite_cost(rng, n, rank) if family.semidefinite else definite_cost(rng, n, cond)
-    A = unit_rows(rng, m, n)
+    P = draw_semidefinite(rng, n, rank) if family.semidefinite else draw_definite(rng, n, cond)
+    A = draw_unit_rows(rng, m, n)
     twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
     for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
         i, j = 2 * pair, 2 * pair + 1

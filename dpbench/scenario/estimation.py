@@ -33,7 +33,7 @@ class EstimatorChoice:
     sensor_std: Vector
     where: str
 
-    def make(self, ship: Vessel, sample_s: float) -> Estimator:
+    def build_estimator(self, ship: Vessel, sample_s: float) -> Estimator:
         """Build the estimator for a ship and sample time."""
         if self.waves is None:
             return MeasuredState()

@@ -126,7 +126,7 @@ class Scenario:
 
     def estimator(self) -> Estimator:
         """Return a new estimator, started at the state of the first sample."""
-        estimator = self.estimation.make(self.vessel, self.sample_s)
+        estimator = self.estimation.build_estimator(self.vessel, self.sample_s)
         estimator.start(self.first_state)
         return estimator
 

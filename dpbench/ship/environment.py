@@ -54,7 +54,7 @@ class Squall:
     decay_s: float
     force: Vector
 
-    def at(self, t_s: ArrayLike) -> Matrix:
+    def force_at(self, t_s: ArrayLike) -> Matrix:
         """Return the squall's force (..., 3) [N, N, N·m] at the times t_s."""
         end_s = self.hold_until_s + self.decay_s
         corners = [self.start_s, self.start_s + self.rise_s, self.hold_until_s, end_s]
@@ -135,7 +135,7 @@ class Environment:
         if self.ramp_s > 0:
             b *= np.minimum(t / self.ramp_s, 1.0)
         for squall in self.squalls:
-            b += squall.at(t_s)
+            b += squall.force_at(t_s)
         return b
 
     def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:

@@ -89,7 +89,8 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
-    least, most = LimitRampDown(rows, du_max, row_max, N_c).limits(f, rows.limits_after_loss(lost))
+    ramp_down = LimitRampDown(rows, du_max, row_max, N_c)
+    least, most = ramp_down.compute_limits(f, rows.limits_after_loss(lost))
     before = f
     for i in range(N_c):
         now = f.copy()

@@ -131,7 +131,7 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._ramp_down.write(f_prev, limits, step.l[AXES:], step.u[AXES:])
+            self._ramp_down.write_limits(f_prev, limits, step.l[AXES:], step.u[AXES:])
         return step
 
     def base(self) -> QuadraticProgram:

@@ -70,7 +70,7 @@ def gap_certificate(
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
     target = Dyadic.of(limits) + inward
-    refined = refine(problem, exact, system, target)
+    refined = refine_exactly(problem, exact, system, target)
     if refined is None:
         return None
     z, lam = refined
@@ -92,7 +92,7 @@ def gap_certificate(
     return Proof(nearest, y, (radius + rounding) * OUTWARD, "gap")
 
 
-def refine(
+def refine_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
     """Solve the KKT system K_W [z; λ] = [−q; target] by iterative refinement in exact numbers."""

@@ -81,7 +81,7 @@ class KKTSystem:
         return (X + spread * np.outer(self.weight, column)) * OUTWARD
 
 
-def positive_definite(P: Matrix) -> bool:
+def is_positive_definite(P: Matrix) -> bool:
     """Return whether P is proven positive definite, rounding included.
 
     Rump, BIT 46 (2006), theorem 2.3: if it runs to completion with c ≥ γ_{n+1}/(1−γ_{n+1})·tr(P),

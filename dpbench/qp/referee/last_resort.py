@@ -43,11 +43,17 @@ from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
 from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
-from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine, select_independent
+from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine_exactly, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, gamma, linear_certificate, positive_definite
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.kkt import (
+    Geometry,
+    KKTSystem,
+    gamma,
+    is_positive_definite,
+    linear_certificate,
+)
+from dpbench.qp.referee.oracle import guess_active_sets
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most
@@ -56,7 +62,7 @@ AMOUNT_BITS = 20  # Inward amounts are multiples of 2^−AMOUNT_BITS·τ
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Enclosed:
+class EnclosedPoint:
     """Point z (n,) with a rigorous error bound for each variable, and multipliers y (N,)."""
 
     z: Vector
@@ -76,7 +82,7 @@ class _NearPoint:
 
 def enclosure_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector, *, convex: bool
-) -> Enclosed | None:
+) -> EnclosedPoint | None:
     """Enclose all optima of a QP with equality rows or singular P; None without proof.
 
     system : a `proven` system of independent rows, all equality-like rows among them.
@@ -111,7 +117,7 @@ def enclosure_certificate(
     bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
     y[rows] = lam.floats()
-    return Enclosed(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
+    return EnclosedPoint(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
 
 
 def _find_feasible(
@@ -123,7 +129,7 @@ def _find_feasible(
     amounts = np.round(inward * 2.0**AMOUNT_BITS) * -system.signs
     shift = Dyadic.of(amounts)
     target = limits + Dyadic(shift.whole, shift.exponent + TAU_EXPONENT - AMOUNT_BITS)
-    if (refined := refine(problem, exact, system, target)) is None:
+    if (refined := refine_exactly(problem, exact, system, target)) is None:
         return None
     z, lam = refined
     equal = problem.L[rows] == problem.U[rows]
@@ -184,10 +190,10 @@ def _bound_penalised_inverse(
 ) -> Matrix | None:
     """Return entrywise upper bounds of |(P + w CᵀC)⁻¹| for the rows `support`, or None."""
     P, C = problem.P, problem.C
-    if not convex and not positive_definite(_penalised_lower_bound(P, C[equal])):
+    if not convex and not is_positive_definite(_penalised_lower_bound(P, C[equal])):
         return None
     M = _penalised_lower_bound(P, C[support])
-    if not positive_definite(M):
+    if not is_positive_definite(M):
         return None
     n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
@@ -218,7 +224,7 @@ class LastResort:
         self._safe = is_scalable(P, C)
         self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
         # It may be proven definite in these units where it is not in the others.
-        self._definite = positive_definite(self._P)
+        self._definite = is_positive_definite(self._P)
         self._convex = convex or self._definite
         self._geometry = Geometry(self._C)
         self._exact: ExactMatrices | None = None
@@ -256,7 +262,7 @@ class LastResort:
     def _guess_sets(self, problem: JointQP) -> Iterator[_Guess]:
         """Yield guesses of the active set, by the proximal point method where P is singular."""
         if self._definite:
-            for signs in guesses(problem):
+            for signs in guess_active_sets(problem):
                 if signs is not None:
                     yield _Guess(signs, None)
         else:
@@ -272,7 +278,7 @@ class LastResort:
         z, signs = np.zeros(n), None
         for weight in np.repeat(PROXIMAL, PROXIMAL_STEPS):
             at = replace(problem, P=P_E + weight * np.eye(n), q=q_E - weight * z)
-            answer = next(guesses(at), None)
+            answer = next(guess_active_sets(at), None)
             moved = None if answer is None else _solve_equality_qp(at, answer)
             if moved is None:
                 break

@@ -19,7 +19,7 @@ _EQUALITY = 5  # DAQP's mark of a row that is always active
 _INFEASIBLE = -1  # DAQP's exit flag for an empty feasible set
 
 
-def guesses(problem: JointQP) -> Iterator[Signs | None]:
+def guess_active_sets(problem: JointQP) -> Iterator[Signs | None]:
     """Yield guesses of a QP's active set, best first; None where a solver finds it infeasible."""
     for guess in GUESSERS:
         try:

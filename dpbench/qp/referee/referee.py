@@ -66,11 +66,11 @@ from dpbench.qp.referee.feasibility.rounding import bound_least_violation, find_
 from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
 from dpbench.qp.referee.last_resort import LastResort
 from dpbench.qp.referee.nearby import guess_nearby
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.oracle import guess_active_sets
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import fit_multipliers
 from dpbench.qp.solution import Solution, Status
@@ -113,7 +113,7 @@ class Referee:
         self._farkas: tuple[Vector, Vector] | None = None
         self._data = _MatrixData()
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
-        self._definite = self._finite and positive_definite(self._P)
+        self._definite = self._finite and is_positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
     def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
@@ -134,7 +134,7 @@ class Referee:
         P = self._P
         if (np.diagonal(P) < 0.0).any():
             return False
-        if is_scalable(P) and positive_definite(equilibrate_diagonal(P)):
+        if is_scalable(P) and is_positive_definite(equilibrate_diagonal(P)):
             return True
         count, part = connected_components(P != 0.0, directed=False)
         blocks = [np.flatnonzero(part == i) for i in range(count)]
@@ -180,7 +180,7 @@ class Referee:
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
         best: Proof | None = None
-        for signs in guesses(posed):
+        for signs in guess_active_sets(posed):
             if signs is None:
                 if (empty := self._find_farkas(problem)) is not None:
                     return empty

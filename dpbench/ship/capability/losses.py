@@ -57,7 +57,7 @@ class Loss:
     end: float
     share: Callable[[float], float]
 
-    def at(self, direction: float) -> float:
+    def share_at(self, direction: float) -> float:
         """Return the share of thrust left in a direction [rad]; 1 outside the range of loss."""
         inside = self.start + (direction - self.start) % TURN
         return self.share(inside) if inside < self.end else 1.0

@@ -64,14 +64,14 @@ class _ThrustEdge:
     """Largest thrust of an azimuth in each direction, relative to its nominal thrust."""
 
     def __init__(self, dead: Sequence[Loss], skegs: Sequence[Loss]) -> None:
-        self._kinds = dead, skegs
+        self._both = dead, skegs
         losses = [*dead, *skegs]
         self.kinks = [angle for loss in losses for angle in (loss.start, loss.worst, loss.end)]
 
     def share(self, direction: float) -> float:
         """Return the share of thrust left in a direction [rad] after all losses."""
         dead, skegs = (
-            min((loss.at(direction) for loss in losses), default=1.0) for losses in self._kinds
+            min((loss.share_at(direction) for loss in losses), default=1.0) for losses in self._both
         )
         return dead * skegs
 

@@ -186,7 +186,7 @@ def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPat
 
 
 def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(referee, "guesses", lambda problem: pytest.fail("a guesser was asked"))
+    monkeypatch.setattr(referee, "guess_active_sets", lambda problem: pytest.fail("guessed"))
     n, none = 5, np.zeros(0)
     steady = Referee(np.eye(n) + 0.1, np.zeros((0, n)), -np.ones(n), np.ones(n))
     sets = set()

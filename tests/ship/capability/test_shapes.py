@@ -55,7 +55,7 @@ def test_the_pieces_are_what_zones_and_losses_leave(
     shape = convex_pieces(None, zones, *losses, STEP)
     assert bool(zones) == (0 not in dead)
     for direction in np.linspace(0.001, TURN, 180):
-        shares = [min((loss.at(direction) for loss in kind), default=1.0) for kind in losses]
+        shares = [min((loss.share_at(direction) for loss in kind), default=1.0) for kind in losses]
         wanted = 0.0 if forbidden(direction, zones) else shares[0] * shares[1]
         assert reach(shape, direction) == pytest.approx(wanted, abs=1e-4)
 
