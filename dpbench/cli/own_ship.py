@@ -184,7 +184,7 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling
     return own
 
 
-def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.Thrust:
+def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.ThrustLimits:
     """Read the forces in N and N·m; InputError for one that no such ship has."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
@@ -203,7 +203,7 @@ def _thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scali
         None if force is None else 1000.0 * force
         for force in (numbers["sway-thrust"], numbers["yaw-moment"])
     )
-    return scaling.Thrust(1000.0 * ahead, sway, yaw)
+    return scaling.ThrustLimits(1000.0 * ahead, sway, yaw)
 
 
 def _command(options: argparse.Namespace) -> str:

@@ -66,7 +66,7 @@ JUMPS = 2  # of the signals
 
 
 @dataclass(frozen=True, eq=False)
-class Planted:
+class PlantedSequence:
     """Random QP sequence together with its known optima, chosen before the QPs were built.
 
     feasible (K,); z (K, n) optimum, NaN where infeasible; y (K, m), y_box (K, n) its multipliers,
@@ -85,7 +85,7 @@ def random_sequence(recipe: RandomRecipe) -> QPSequence:
     return plant_sequence(recipe).sequence
 
 
-def plant_sequence(recipe: RandomRecipe) -> Planted:
+def plant_sequence(recipe: RandomRecipe) -> PlantedSequence:
     """Generate the random QP sequence of a recipe together with its known optima."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
@@ -105,11 +105,11 @@ def plant_sequence(recipe: RandomRecipe) -> Planted:
     base = QuadraticProgram(frame.P, first.q, frame.A, *limits, recipe.block)
     q, l, u, z, y, y_box = (np.array(part) for part in zip(*steps, strict=True))  # noqa: E741
     sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
-    return Planted(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
+    return PlantedSequence(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _ConstantParts:
     """Parts of a random QP sequence that are constant over its steps.
 
     lo, hi (n,) : where bounds are, or would be; half (m,) : half the width of a row.
@@ -139,7 +139,7 @@ class _Frame:
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
 
-class _Step(NamedTuple):
+class _PlantedStep(NamedTuple):
     """One random QP step with its known optimum, or its Farkas vector where infeasible."""
 
     q: Vector
@@ -150,7 +150,7 @@ class _Step(NamedTuple):
     y_box: Vector
 
 
-def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _ConstantParts:
     """Draw the constant matrices, bounds and kinds of rows of a random QP sequence."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
@@ -174,7 +174,7 @@ def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
     lo, hi, half = (round_to_grid(rng.uniform(*interval), POINT) for interval in ends)
     above = np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi))
     below = np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo))
-    return _Frame(P, A, -lo, hi, half, above, below, equal, twin, sign)
+    return _ConstantParts(P, A, -lo, hi, half, above, below, equal, twin, sign)
 
 
 def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
@@ -187,7 +187,7 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
 
 
 def _choose_active_limits(
-    frame: _Frame, family: Family, s: Vector, count: int
+    frame: _ConstantParts, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
     """Choose which limits the optimum of a step meets, with which multipliers.
 
@@ -215,7 +215,7 @@ def _choose_active_limits(
     return met, y, near
 
 
-def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
+def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) -> _PlantedStep:
     """Build one QP step around a chosen optimum, from its signals s (m + n,)."""
     m = len(frame.half)
     met, y, near = _choose_active_limits(frame, family, s, count)
@@ -235,10 +235,10 @@ def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
     )
     q = -(frame.P @ z + y[:m] @ frame.A + y[m:])
     limits = np.where(frame.below[:m], l, -np.inf), np.where(frame.above[:m], u, np.inf)
-    return _Step(q, *limits, z, y[:m], y[m:])
+    return _PlantedStep(q, *limits, z, y[:m], y[m:])
 
 
-def _make_infeasible(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
+def _make_infeasible(frame: _ConstantParts, step: _PlantedStep, row: int, k: int) -> _PlantedStep:
     """Return the step made infeasible, with a Farkas vector that proves it.
 
     In turn: a row demands more than the bounds allow, or than its copy does.
@@ -258,4 +258,4 @@ def _make_infeasible(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
         u[copy] = l[copy] + frame.half[copy]
         y[row], y[copy] = 1.0, -1.0
         y_box = np.zeros(len(step.z))
-    return _Step(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)
+    return _PlantedStep(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)

@@ -80,7 +80,7 @@ SPARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Thrust:
+class ThrustLimits:
     """Largest force of the user's ship ahead, sideways and in yaw [N, N, N·m]."""
 
     ahead_N: float
@@ -113,7 +113,7 @@ def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, 
     return M, D
 
 
-def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own") -> Vessel:
+def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = "own") -> Vessel:
     """Scale a library vessel to the dimensions and thrust of the user's ship.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its

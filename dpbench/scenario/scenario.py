@@ -162,7 +162,7 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 def load_vessel(name_or_path: str | Path) -> Vessel:
     """Load a vessel by name or from a TOML file."""
     path = problem_path("vessels", name_or_path)
-    return read_model(path, VesselFile).vessel(path.stem, str(path))
+    return read_model(path, VesselFile).build_vessel(path.stem, str(path))
 
 
 def read_vessel_documents(
@@ -175,7 +175,7 @@ def read_vessel_documents(
 
 def build_vessel(files: VesselDocuments, where: str = "vessel") -> Vessel:
     """Build a vessel from the contents of its file."""
-    return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
+    return parse_model(files["vessel"], VesselFile, where).build_vessel(files["vessel_name"], where)
 
 
 def build_scenario(
@@ -184,7 +184,7 @@ def build_scenario(
     """Build a scenario from the contents of its files (JSON-compatible)."""
     spec = parse_model(files["scenario"], ScenarioFile, where)
     ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
-    vessel = ship_file.vessel(files["vessel_name"], vessel_where)
+    vessel = ship_file.build_vessel(files["vessel_name"], vessel_where)
     scale = Froude(ship_file.model_scale)
     plant = spec.plant
     sample_s = spec.sample_s * scale.time

@@ -50,7 +50,7 @@ class StaticAllocation:
         self.units = compute_balance_units(thrusters)
         self._balance = build_balance_matrix(thrusters)
 
-    def qp(
+    def build_qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
         """Return the allocation QP of one static load, for chosen convex pieces and lost thrusters.

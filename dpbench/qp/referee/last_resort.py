@@ -209,7 +209,7 @@ LARGEST = 1e6  # Inward amounts beyond it would need more room than the limits m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
+class _SetGuess:
     """Guessed active set, and its point where that is known."""
 
     signs: Signs
@@ -259,16 +259,16 @@ class LastResort:
             return None
         return best
 
-    def _guess_sets(self, problem: JointQP) -> Iterator[_Guess]:
+    def _guess_sets(self, problem: JointQP) -> Iterator[_SetGuess]:
         """Yield guesses of the active set, by the proximal point method where P is singular."""
         if self._definite:
             for signs in guess_active_sets(problem):
                 if signs is not None:
-                    yield _Guess(signs, None)
+                    yield _SetGuess(signs, None)
         else:
             yield from self._iterate_proximal(problem)
 
-    def _iterate_proximal(self, problem: JointQP) -> Iterator[_Guess]:
+    def _iterate_proximal(self, problem: JointQP) -> Iterator[_SetGuess]:
         """Yield active sets that the proximal point method finds for a singular P."""
         n = len(problem.q)
         # On the feasible set the squares of equality rows are constant, whatever P is across it.
@@ -286,11 +286,11 @@ class LastResort:
             if np.abs(z - before).max() <= SETTLED * (1.0 + np.abs(z).max()):
                 break
         if signs is not None:
-            yield _Guess(signs, z)
+            yield _SetGuess(signs, z)
             if (explaining := _find_explaining_limits(problem, z)) is not None:
-                yield _Guess(explaining, z)
+                yield _SetGuess(explaining, z)
 
-    def _prove_guess(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
+    def _prove_guess(self, problem: JointQP, guess: _SetGuess) -> tuple[Proof | None, Signs | None]:
         """Prove the optimum from a guessed active set, or return limits that leave no interior."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)

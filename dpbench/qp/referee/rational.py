@@ -83,7 +83,7 @@ def _mark_infinite(numbers: Whole, given: Vector) -> list[int | None]:
 
 
 @dataclass(slots=True)
-class _Iterate:
+class _ExactPoint:
     """Exact point and multipliers, and their slopes in μ, over one common denominator."""
 
     point: Whole
@@ -109,7 +109,7 @@ class _ActiveSet:
         """Remove the row at a position of the set."""
         del self.rows[position], self.side[position]
 
-    def solve(self, gradient: Whole) -> _Iterate | None:
+    def solve(self, gradient: Whole) -> _ExactPoint | None:
         """Solve the KKT system of the held rows exactly; None where it is singular."""
         qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
@@ -123,7 +123,7 @@ class _ActiveSet:
         if solved is None:
             return None
         x, denominator = solved
-        return _Iterate(x[:, 0], x[:, 1], denominator)
+        return _ExactPoint(x[:, 0], x[:, 1], denominator)
 
     def most_wrong_multiplier(self, multipliers: Whole) -> int | None:
         """Return the position of the multiplier of the most wrong sign, or None."""
@@ -131,7 +131,7 @@ class _ActiveSet:
         worst = min(range(len(values)), key=values.__getitem__, default=None)
         return worst if worst is not None and values[worst] < 0 else None
 
-    def first_zero_multiplier(self, at: _Iterate) -> tuple[Fraction, int] | None:
+    def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
         """Return the smallest μ at which a multiplier reaches zero, and its position."""
         n = len(self.qp.q)
         multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
@@ -143,7 +143,7 @@ class _ActiveSet:
         return min(zeros, default=None)
 
 
-def _find_most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
+def _find_most_violated(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | None:
     """Return row and sign of the limit that the point violates most; None if feasible."""
     value = qp.C @ at.point[: len(qp.q)]
     violation, limit = 0, None
@@ -156,7 +156,7 @@ def _find_most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
     return limit
 
 
-def _start_active_set(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
+def _start_active_set(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _ExactPoint] | None:
     """Return a dual-feasible active set and its exact point, starting from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
@@ -212,11 +212,11 @@ def _add_violated_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int)
             active.add(row, sign)
             return None
         if blocked is None:
-            return _farkas_vector(qp, active, at, row, sign)
+            return _farkas_ray(qp, active, at, row, sign)
         active.drop(blocked[1])
 
 
-def _farkas_vector(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: int) -> Vector:
+def _farkas_ray(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, sign: int) -> Vector:
     """Return the multipliers (N,) that prove the violated row contradicts the active rows."""
     y = np.zeros(len(qp.lower))
     y[row] = sign
@@ -225,7 +225,7 @@ def _farkas_vector(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, s
     return y
 
 
-def _build_proof(qp: _IntegerQP, active: _ActiveSet, at: _Iterate) -> Proof:
+def _build_proof(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint) -> Proof:
     """Return the exact point rounded to float64, with its rounding error as the bound."""
     n = len(qp.q)
     unit = Fraction(2) ** qp.z_exponent

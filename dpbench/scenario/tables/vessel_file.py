@@ -225,7 +225,7 @@ class VesselFile(FileModel):
             raise ValueError("windage beside capability, which takes its areas from there")
         return self
 
-    def vessel(self, name: str, where: str) -> Vessel:
+    def build_vessel(self, name: str, where: str) -> Vessel:
         """Return the vessel in SI units; InputError naming `where` for unfit values."""
         if self.inertia is not None:
             M, D = np.array(self.inertia), np.array(self.damping)

@@ -224,7 +224,7 @@ def forces(thrusters: ThrusterSet, qp: QuadraticProgram) -> np.ndarray:
 def test_the_optimum_balances_the_load_with_the_least_effort(thrusters: ThrusterSet) -> None:
     """T_e f = −load, and f is the weighted pseudo-inverse where no limit is met."""
     load = np.array([-4e4, 3e4, -2e5])
-    f = forces(thrusters, allocation(thrusters).qp(load, FULL, WHOLE, NONE_LOST))
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, NONE_LOST))
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
     W_inverse, T_e = np.diag(thrusters.per_entry(thrusters.thrust_N) ** 2), thrusters.T_e
     expected = W_inverse @ T_e.T @ np.linalg.solve(T_e @ W_inverse @ T_e.T, -load)
@@ -237,13 +237,13 @@ def test_the_most_ahead_is_full_thrust_times_its_share(thrusters: ThrusterSet, s
     shares = np.array([0.9, 0.9, 0.5])
     program = allocation(thrusters, sides=sides)
     for load_N, kind in ((1.8e5 * (1 - 1e-9), False), (1.8e5 * (1 + 1e-9), True)):
-        qp = program.qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
+        qp = program.build_qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
         assert (certify(qp).kind == "infeasible") is kind
 
 
 def test_what_is_lost_gives_nothing(thrusters: ThrusterSet) -> None:
     load = np.array([-4e4, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters).qp(load, FULL, WHOLE, frozenset({0})))
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, frozenset({0})))
     np.testing.assert_allclose(f[:2], 0.0, atol=1e-9)
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
 
@@ -253,7 +253,7 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
     chord = np.array([[math.cos(-0.5), math.sin(-0.5), 0.4]])
     chosen = Piece((-1.0, -0.2), chord), Piece(), Piece()
     load = np.array([-1.2e5, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters, room=True).qp(load, FULL, chosen, NONE_LOST))
+    f = forces(thrusters, allocation(thrusters, room=True).build_qp(load, FULL, chosen, NONE_LOST))
     angle, size = math.atan2(f[1], f[0]), math.hypot(f[0], f[1])
     assert -1.0 - 1e-9 <= angle <= -0.2 + 1e-9
     assert size * math.cos(angle + 0.5) <= 0.4e5 * (1 + 1e-9)
@@ -262,8 +262,7 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
 
 def test_room_for_pieces_changes_the_shape_and_not_the_answer(thrusters: ThrusterSet) -> None:
     load = np.array([-1.5e5, 4e4, 1e6])
-    narrow, wide = (
-        allocation(thrusters, room=room).qp(load, FULL, WHOLE, NONE_LOST) for room in (False, True)
-    )
+    builders = (allocation(thrusters, room=room) for room in (False, True))
+    narrow, wide = (builder.build_qp(load, FULL, WHOLE, NONE_LOST) for builder in builders)
     assert wide.m == narrow.m + 2 * (2 + 3)
     np.testing.assert_allclose(certify(wide).z, certify(narrow).z, atol=1e-12)

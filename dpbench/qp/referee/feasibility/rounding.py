@@ -156,14 +156,14 @@ def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Point:
+class _PointViolation:
     """Exact violation of a point, rounded up, and multipliers y (N,) there."""
 
     violation: float
     y: Vector
 
 
-def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
+def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_PointViolation]:
     """Yield multipliers and violations of points that violate the limits less and less.
 
     Linear programs on the exact residuals of the point before, magnified (Gleixner, Steffy and
@@ -188,7 +188,7 @@ def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_
         violation = _largest_violation(slack, size)
         y = np.zeros(len(problem.L))
         np.add.at(y, rows, turn * step[1])
-        yield _Point(violation, y)
+        yield _PointViolation(violation, y)
         magnified *= GAIN
 
 
