@@ -126,7 +126,7 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
     ramp = LimitRampDown(rows, du_max, row_max, N_c, factor=factor)
-    ramp.write(f, Limits(low, high, limits.lost), l, u)
+    ramp.write_limits(f, Limits(low, high, limits.lost), l, u)
     for k in range(r):
         number = rows.thruster[k]
         own, entries = np.flatnonzero(rows.thruster == number), rows.entry == number

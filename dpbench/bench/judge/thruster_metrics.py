@@ -98,7 +98,7 @@ def _limit_figures(
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
-        least, most = (side[0] * unit for side in ramp_down.limits(before[k], limits[k]))
+        least, most = (side[0] * unit for side in ramp_down.compute_limits(before[k], limits[k]))
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)
