@@ -88,7 +88,7 @@ def test_a_dead_thruster_takes_thrust_along_a_straight_line() -> None:
     along = np.diff(edge, axis=0)
     turned = along[1:, 0] * along[:-1, 1] - along[1:, 1] * along[:-1, 0]
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
-    assert loss.share_at(loss.end) == loss.at(2.0) == 1.0
+    assert loss.share_at(loss.end) == loss.share_at(2.0) == 1.0
     assert dead_losses(azimuth(0.0, 0.0), [azimuth(-16.0, 0.0)]) == []
     assert dead_losses(azimuth(0.0, 0.0, 2.0, "nozzle"), [azimuth(-8.0, 0.0)]) == []
 
@@ -99,11 +99,11 @@ def test_a_skeg_takes_thrust_of_both_sides_alike(
     """The tables for port and starboard are mirror images; the least is 2 α/π − 1."""
     (port,), (starboard,) = (skeg_losses(t, hull) for t in thrusters.thrusters[:2])
     for angle in np.linspace(0.0, 2.0 * np.pi, 721):
-        assert port.at(-angle) == pytest.approx(starboard.at(angle))
+        assert port.share_at(-angle) == pytest.approx(starboard.share_at(angle))
     flush = math.pi / 2 + math.atan(3.276 / 4.69)
     worst = flush + math.atan(0.6 * 3.1 / math.hypot(3.276, 4.69))
     assert starboard.worst == pytest.approx(worst)
-    assert starboard.at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
+    assert starboard.share_at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
     assert skeg_losses(thrusters.thrusters[2], hull) == []
 
 

@@ -67,7 +67,7 @@ def test_corners_lie_on_the_edge_and_chords_inside(
     starboard = thrusters.thrusters[1]
     losses = skeg_losses(starboard, hull)
     angle = np.linspace(losses[0].start, losses[0].end, 160)
-    true = np.array([losses[0].at(a) for a in angle])
+    true = np.array([losses[0].share_at(a) for a in angle])
     gaps = []
     for step in (16.0, 8.0, 4.0, 2.0):
         shape = convex_pieces(None, [], [], losses, math.radians(step))
