@@ -16,7 +16,7 @@ from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.kernels import hessian_blocks
+from dpbench.mpc.kernels import write_hessian_blocks
 from dpbench.scenario.scenario import Scenario, condense
 
 SIZES = (75, 150, 300, 600, 900)
@@ -104,7 +104,7 @@ def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: 
     h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
     benchmark.extra_info["n"] = n
     E = np.empty((n, n))
-    benchmark(hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
+    benchmark(write_hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
 
 
 @pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")

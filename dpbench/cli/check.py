@@ -83,7 +83,7 @@ def _check_document(file: Path, progress: Progress | None) -> str:
 
 def _check_vessel(file: Path, progress: Progress | None) -> str:
     """Validate a vessel file and describe the ship."""
-    vessel = problems.read_model(file, VesselFile).vessel(file.stem, str(file))
+    vessel = problems.read_model(file, VesselFile).build_vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
     return vessel_text(file, vessel, progress)

@@ -30,7 +30,7 @@ def _list_vessels() -> RenderableType:
     entries = []
     for name in problems.problem_names("vessels"):
         path = problems.problem_path("vessels", name)
-        vessel = problems.read_model(path, VesselFile).vessel(name, str(path))
+        vessel = problems.read_model(path, VesselFile).build_vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
         surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"

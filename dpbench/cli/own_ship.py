@@ -20,7 +20,7 @@ from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, list_allowed
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
-from dpbench.scenario.hull_files import Hull, read_mss, read_table
+from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -143,7 +143,11 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
         raise SituationError(WHERE, both)
     hull: Hull | None = None
     if hull_file := options.from_mss or options.from_csv:
-        hull = read_mss(Path(hull_file)) if options.from_mss else read_table(Path(hull_file))
+        hull = (
+            read_mss(Path(hull_file))
+            if options.from_mss
+            else read_coefficient_table(Path(hull_file))
+        )
     own = _read_particulars(numbers, hull)
     thrust = _read_thrust(numbers, own)
     if options.like is not None and options.like not in scaling.LIBRARY:
@@ -182,7 +186,9 @@ def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> sc
     return own
 
 
-def _read_thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> scaling.Thrust:
+def _read_thrust(
+    numbers: dict[str, float | None], own: scaling.Particulars
+) -> scaling.ThrustLimits:
     """Convert the thrust options to N and N·m; InputError if implausible for this ship."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
@@ -201,7 +207,7 @@ def _read_thrust(numbers: dict[str, float | None], own: scaling.Particulars) -> 
         None if force is None else 1000.0 * force
         for force in (numbers["sway-thrust"], numbers["yaw-moment"])
     )
-    return scaling.Thrust(1000.0 * ahead, sway, yaw)
+    return scaling.ThrustLimits(1000.0 * ahead, sway, yaw)
 
 
 def _restate_command(options: argparse.Namespace) -> str:
@@ -254,7 +260,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
     """Render the vessel file of a new ship; `command` is quoted in its comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
-    added = np.diag(vessel.M) - scaling.rigid_body(ship.own)
+    added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
     added = added / scaling.regression_added_mass(ship.own)
     return render_document(
         "own_vessel.toml",

@@ -28,9 +28,9 @@ from numpy.lib.stride_tricks import as_strided
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
+from dpbench.mpc.kernels import build_affine_blocks, condense_blocks, write_summed_rows
 from dpbench.mpc.model import StateSpace, rotate_model
-from dpbench.mpc.terminal import TerminalCost, terminal_cost
+from dpbench.mpc.terminal import TerminalCost, build_terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import check_shape
 
@@ -40,7 +40,7 @@ Terminal = Literal["none", "riccati"]
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """Model, weights and limits of the controller, in SI units.
+    """Model, horizons, weights and limits of a model predictive controller, in SI units.
 
     model : the incremental model (eq. 11).
     N_p, N_c : prediction and control horizon, 1 ≤ N_c ≤ N_p.
@@ -81,7 +81,7 @@ class ControlProblem:
             object.__setattr__(self, name, array)
         G, row_max, limits = np.eye(n_u), self.du_max, Limits(self.u_min, self.u_max)
         if (rows := self.thrusters) is not None:
-            G, row_max, limits = rows.G, rows.units(self.du_max), rows.intact
+            G, row_max, limits = rows.G, rows.row_units(self.du_max), rows.intact
         for name, value in {"G": G, "row_max": row_max, "limits": limits}.items():
             object.__setattr__(self, name, value)
         if not 1 <= self.N_c <= self.N_p:
@@ -93,16 +93,16 @@ class ControlProblem:
 
     @property
     def horizons(self) -> dict[str, int]:
-        """N_p and N_c by name."""
+        """Prediction horizon N_p and control horizon N_c, by name."""
         return {"N_p": self.N_p, "N_c": self.N_c}
 
     def rotate(self, turn_rad: float) -> ControlProblem:
-        """Return the problem with the ship's model linearised `turn_rad` further (eq. 5)."""
+        """Return the problem with the model linearised at a heading `turn_rad` further on."""
         return replace(self, model=rotate_model(self.model, turn_rad))
 
 
 def toeplitz(h: Floats, N_c: int) -> Matrix:
-    """Return Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
+    """Return the block-Toeplitz prediction matrix Φ (N_p·n_y, N_c·n_u) of h (N_p, n_y, n_u)."""
     N_p, n_y, n_u = h.shape
     padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
     padded[N_c - 1 :] = h
@@ -113,14 +113,14 @@ def toeplitz(h: Floats, N_c: int) -> Matrix:
 
 
 def summed_rows(N_c: int, G: Matrix) -> Matrix:
-    """Return (I ⊗ G) C2 (N_c·r, N_c·n_u) for rows G (r, n_u); G = I gives C2 (eq. 19)."""
+    """Return (I ⊗ G) C2, which maps increments (N_c·n_u,) to rows G u of each move (N_c·r,)."""
     rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
-    summed_blocks(G, rows)
+    write_summed_rows(G, rows)
     return rows
 
 
 def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
-    """Return G (r, n_u) between forces and rows in these units."""
+    """Return the rows G (r, n_u) of the amplitude limits in scaled or SI units."""
     if units == "si" or problem.thrusters is None:
         return problem.G
     return problem.G * problem.du_max / problem.row_max[:, np.newaxis]
@@ -128,7 +128,7 @@ def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class CondensedMatrices:
-    """Constant parts of the condensed problem in SI units.
+    """Constant matrices of the condensed MPC problem, in SI units.
 
     E (n, n), F_x (n, n_x), F_held (n, n_y) with F_k = F_x x + F_held y_d for a reference that is
     constant over the horizon; F (N_p·n_y, n_x) and the Markov parameters h (N_p, n_y, n_u) of
@@ -147,12 +147,12 @@ class CondensedMatrices:
 
     @cached_property
     def Phi(self) -> Matrix:
-        """Φ (N_p·n_y, n) of eq. 15."""
+        """Prediction matrix Φ (N_p·n_y, n) from increments to outputs (eq. 15)."""
         return toeplitz(self.h, self.E.shape[0] // self.h.shape[2])
 
     @cached_property
     def F_y(self) -> Matrix:
-        """−Φᵀ Q̄ (n, N_p·n_y): F_k = F_x x + F_y Y_d for a varying reference Y_d."""
+        """Map −Φᵀ Q̄ (n, N_p·n_y) from a varying reference Y_d to the gradient."""
         N_p, n_y, _ = self.h.shape
         n = self.E.shape[0]
         blocks = self.Phi.reshape(N_p, n_y, n).transpose(2, 0, 1)
@@ -163,22 +163,22 @@ class CondensedMatrices:
 
 
 def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
-    """Condense the horizon: all constant parts of eq. 15-24."""
+    """Condense the MPC problem: eliminate the states, return its constant matrices (eq. 15-24)."""
     model, Q = problem.model, problem.Q
     matrices = model.A, model.B, model.C, Q, problem.R
     E, F_x, F_held, F, h = condense_blocks(*matrices, problem.N_p, problem.N_c)
     F_u = np.zeros((len(E), 0))
     if problem.W is not None:
-        thrust, F_u = _thrust_cost(problem.W, problem.N_c)
+        thrust, F_u = _condense_force_cost(problem.W, problem.N_c)
         E = E + thrust
     if problem.terminal == "none":
         return CondensedMatrices(E, F_x, F_held, F, h, Q, F_u)
-    end = terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
+    end = build_terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
     return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, F_u, end)
 
 
-def _thrust_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
-    """Return C2ᵀ W̄ C2 (n, n) and C2ᵀ W̄ C1 (n, n_u)."""
+def _condense_force_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
+    """Return the Hessian (n, n) and the gradient map (n, n_u) of the cost ½ Σ uᵢᵀ W uᵢ."""
     # Move j adds to the forces of j and all that follow.
     i = np.arange(float(N_c))
     E: Matrix = np.kron(N_c - np.maximum.outer(i, i), W)
@@ -189,11 +189,11 @@ def _thrust_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
 def build_affine_map(
     problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem
 ) -> Matrix:
-    """Return Z (n + 2m, n_x + n_y + n_u + 1): [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24)."""
+    """Return Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1]."""
     unit, row_unit = problem.du_max, problem.row_max
     if units == "si":
         unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))
     of_theta = matrices.F_x, matrices.F_held, matrices.F_u
     limits = problem.G, problem.u_min, problem.u_max
-    Z: Matrix = map_blocks(*of_theta, *limits, unit, row_unit)
+    Z: Matrix = build_affine_blocks(*of_theta, *limits, unit, row_unit)
     return Z

@@ -20,8 +20,8 @@ from dpbench.mpc.condense import (
 )
 from dpbench.mpc.kernels import reachable_limits
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.outputs import OutputBounds, instants, output_blocks
-from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble
+from dpbench.mpc.outputs import OutputBounds, bounded_steps, output_blocks
+from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble_blocks
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
@@ -30,8 +30,8 @@ from dpbench.qp.program import QPStep, QuadraticProgram, Units
 Amplitude = Literal["reachable", "hard", "soft"]
 
 
-class Form(TypedDict, total=False):
-    """Keyword arguments of all condensed QPs; see `CondensedQP`."""
+class CondensedOptions(TypedDict, total=False):
+    """Optional keyword arguments of `CondensedQP`: units, policy and bounds."""
 
     units: UnitSystem
     amplitude: Amplitude
@@ -40,7 +40,7 @@ class Form(TypedDict, total=False):
 
 
 class CondensedQP:
-    """The DP MPC problem in condensed form.
+    """Builder of the condensed QP of each control step, for one MPC problem.
 
     Parameters
     ----------
@@ -77,18 +77,19 @@ class CondensedQP:
         self.amplitude, self.outputs, self.penalty = amplitude, outputs, penalty
         self._matrices: CondensedMatrices = condense_matrices(problem)
         self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
-        self._build_plain()
+        self._build_hard_qp()
         extra = self._extra_blocks()
         if amplitude == "soft" or outputs is not None or extra:
-            self._add_blocks(extra)
+            self._build_with_blocks(extra)
         self._prepare_emit()
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """E, F, Φ of the paper in SI units."""
+        """Condensed matrices E, F and Φ of the paper, in SI units."""
         return self._matrices
 
-    def _build_plain(self) -> None:
+    def _build_hard_qp(self) -> None:
+        """Build P, A, bounds and Z with hard limits on increments and amplitudes alone."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
@@ -108,10 +109,10 @@ class CondensedQP:
         self.Z: Matrix = build_affine_map(problem, self._matrices, self.units)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
-        """Return further rows of a subclass, behind all others of a move."""
+        """Return constraint blocks that a subclass adds to each move; none here."""
         return []
 
-    def _add_blocks(self, extra: list[ConstraintBlock]) -> None:
+    def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
         """Rebuild the problem with soft amplitude limits, output bounds or further rows."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
@@ -122,7 +123,7 @@ class CondensedQP:
         if self.outputs is not None:
             blocks += output_blocks(problem, matrices, self.outputs, penalty.outputs)
         blocks += extra
-        built = assemble(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
+        built = assemble_blocks(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape
         own, self.scale = built, Units(np.ones(self.n), np.ones(self.m))
@@ -131,6 +132,7 @@ class CondensedQP:
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
+        """Allocate the parameter vector, and compute the slices that `emit` uses at each step."""
         n_u, at = self.control.model.n_u, self.control.model.theta
         theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
@@ -152,7 +154,7 @@ class CondensedQP:
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP of one step (eq. 20-24), in memory of its own.
+        """Return the QP data q, l and u of one step (eq. 20-24), in newly allocated memory.
 
         Parameters
         ----------
@@ -172,13 +174,13 @@ class CondensedQP:
         out = product(theta)
         step = QPStep(out[:n], out[n:cut], out[cut:])
         if preview:
-            self._preview(step, y_ref)
+            self._add_preview(step, y_ref)
         if limits is not None:
-            self._limit(step, u_prev, limits)
+            self._write_amplitude_limits(step, u_prev, limits)
         return step
 
-    def _preview(self, step: QPStep, y_ref: Matrix) -> None:
-        """Replace the constant reference y_ref[0] by the previewed one, (N_p, n_y)."""
+    def _add_preview(self, step: QPStep, y_ref: Matrix) -> None:
+        """Add the effect of a reference (N_p, n_y) that changes along the horizon to q and u."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]
@@ -190,18 +192,19 @@ class CondensedQP:
             circle = slice(first, first + bounds.sides)
             upper_map = self.Z[self.n + self.m :].reshape(*self._row_shape, -1)
             of_position = upper_map[0, circle, self.control.model.theta.y_ref][:, HORIZONTAL]
-            bounded = instants(self.control.N_p, self.control.N_c) - 1
+            bounded = bounded_steps(self.control.N_p, self.control.N_c) - 1
             moved = change[bounded, HORIZONTAL] @ of_position.T
             step.u.reshape(self._row_shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
-        """Return F_y (N_c·n_u, N_p·n_y) in SI units."""
+        """Return the map F_y (N_c·n_u, N_p·n_y) from the reference to the gradient, in SI units."""
         return self._matrices.F_y
 
-    def _limit(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+    def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+        """Write changed amplitude limits into l and u of a step."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
-            self._ramp_down.write(u_prev, limits, step.l, step.u)
+            self._ramp_down.write_limits(u_prev, limits, step.l, step.u)
         elif self.amplitude == "reachable":
             of_rows = limits.low, limits.high, problem.row_max, unit
             reachable_limits(u_prev, *of_rows, step.l, step.u, problem.N_c)
@@ -212,7 +215,7 @@ class CondensedQP:
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """Return the whole problem of one step."""
+        """Return the complete QP of one step, constant matrices included."""
         P = self.P if step.P is None else step.P
         A = self.A if step.A is None else step.A
         moves = len(self._du) if self.block > len(self._du) else 0
@@ -221,17 +224,17 @@ class CondensedQP:
         )
 
     def moves(self, z: Vector) -> Matrix:
-        """Return ΔU as increments (N_c, n_u) in N, N, N·m."""
+        """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m."""
         return z.reshape(self._shape)[self._moves] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
-        """Return z of the increments (N_c, n_u) in N, N, N·m, with zero slacks."""
+        """Return the variables z of control increments (N_c, n_u) in N, N, N·m, slacks at zero."""
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
     def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
-        """Return J0 (eq. 24): objective(z) + J0 is the cost J of eq. 17; u_prev enters by W."""
+        """Return J0 (eq. 24), the part of the cost J that z does not change."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

@@ -22,7 +22,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of eq. 33.
+    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained law (eq. 33).
 
     K_u (n_u, n_u) adds − K_u u(k−1) to the law where the force itself is weighed; else None.
     """
@@ -33,12 +33,12 @@ class Gains:
 
 
 def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
-    """Return ΔU (n,) of eq. 27 in SI units, for the stacked reference Y_d (N_p·n_y,)."""
+    """Return the increments ΔU (n,) that minimise the cost without constraints (eq. 27), in SI."""
     return -scipy.linalg.solve(matrices.E, matrices.F_x @ x + matrices.F_y @ Y_d, assume_a="pos")
 
 
 def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) -> Gains:
-    """Return the state feedback of eq. 33."""
+    """Return the state-feedback gains of the unconstrained MPC law (eq. 33)."""
     matrices = condense_matrices(problem) if matrices is None else matrices
     n_u, n_y, n_x = problem.model.n_u, problem.model.n_y, problem.model.n_x
     slopes = np.hstack([-matrices.F_held, matrices.F_x, matrices.F_u])
@@ -48,7 +48,7 @@ def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) ->
 
 
 class UnconstrainedLaw:
-    """Δu (n_u,) of eq. 33, with the gains of a builder's matrices at its heading."""
+    """Unconstrained MPC law, a linear state feedback that gives the first move Δu (n_u,)."""
 
     def __init__(self, builder: CondensedQP) -> None:
         self._builder = builder
@@ -64,12 +64,12 @@ class UnconstrainedLaw:
         return move if law.K_u is None else move - law.K_u @ u_prev
 
 
-def closed_loop(model: StateSpace, law: Gains) -> Matrix:
-    """Return A − B K_mpc (n_x, n_x) of eq. 34."""
+def build_closed_loop(model: StateSpace, law: Gains) -> Matrix:
+    """Return the closed-loop matrix A − B K_mpc (n_x, n_x) (eq. 34)."""
     return model.A - model.B @ law.K_mpc
 
 
 def compute_closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
-    """Return the roots of eq. 35, by falling modulus."""
-    roots = np.linalg.eigvals(closed_loop(model, law))
+    """Return the eigenvalues of the closed loop (eq. 35), largest modulus first."""
+    roots = np.linalg.eigvals(build_closed_loop(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]

@@ -28,7 +28,7 @@ HORIZONTAL = slice(0, 2)  # North and east among the outputs
 
 
 class ThetaLayout(NamedTuple):
-    """Slices of the parts of [θ; 1] = [x; y_ref; u_prev; 1], and its length."""
+    """Slices of x, y_ref and u_prev in the parameter vector [x; y_ref; u_prev; 1]."""
 
     x: slice
     y_ref: slice
@@ -37,15 +37,15 @@ class ThetaLayout(NamedTuple):
     size: int
 
 
-def rotation(psi_rad: float) -> Matrix:
-    """Return R(ψ) (3, 3) from the body to the NED frame (paper eq. 3)."""
+def rotation_matrix(psi_rad: float) -> Matrix:
+    """Return the rotation matrix R(ψ) (3, 3) from the body to the north-east-down frame (eq. 3)."""
     c, s = np.cos(psi_rad), np.sin(psi_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x⁺ = A x + B u, y = C x; A (n_x, n_x), B (n_x, n_u), C (n_y, n_x)."""
+    """Linear discrete-time state-space model x⁺ = A x + B u, y = C x."""
 
     A: Matrix
     B: Matrix
@@ -74,7 +74,7 @@ class StateSpace:
 
     @property
     def theta(self) -> ThetaLayout:
-        """Layout of the parameters of a step of this model."""
+        """Layout of the parameter vector [x; y_ref; u_prev; 1] for a model of this size."""
         reference, force = self.n_x, self.n_x + self.n_y
         one = force + self.n_u
         parts = slice(0, reference), slice(reference, force), slice(force, one)
@@ -82,19 +82,18 @@ class StateSpace:
 
 
 def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
-    """Return the continuous A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
+    """Return continuous matrices A_c, B_c, C_c of the ship linearised at heading ψ0 (eq. 5-8)."""
     zero = np.zeros((AXES, AXES))
-    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation(psi0_rad), zero]])
+    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation_matrix(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
     C_c = np.hstack([zero, np.eye(AXES)])
     return StateSpace(A_c, B_c, C_c)
 
 
 def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
-    """Return the exact zero-order hold (paper eq. 9-10) by one matrix exponential.
+    """Discretise a continuous model exactly under zero-order hold (eq. 9-10).
 
-    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE Trans. Automat. Contr.
-    23(3)).
+    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE TAC 23(3)).
     """
     n_x, n_u = continuous.n_x, continuous.n_u
     block = np.zeros((n_x + n_u, n_x + n_u))
@@ -107,7 +106,7 @@ def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
 
 
 def augment(discrete: StateSpace) -> StateSpace:
-    """Return the incremental model A, B, C on x = [Δx_m; y] (paper eq. 11)."""
+    """Return the incremental model on x = [Δx_m; y], which adds integral action (eq. 11)."""
     A_m, B_m, C_m = discrete.A, discrete.B, discrete.C
     n_x, n_y = discrete.n_x, discrete.n_y
     A = np.block([[A_m, np.zeros((n_x, n_y))], [C_m @ A_m, np.eye(n_y)]])
@@ -117,19 +116,20 @@ def augment(discrete: StateSpace) -> StateSpace:
 
 
 def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Return the incremental model of a ship at heading ψ0 (eq. 5-11), cached."""
+    """Return the incremental discrete model of a ship at heading ψ0, from a cache."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
-    return _model_of(inertia, damping, psi0_rad, sample_s)
+    return _cached_model(inertia, damping, psi0_rad, sample_s)
 
 
 @lru_cache(maxsize=64)
-def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+    """Build the incremental model from the bytes of M and D, the keys of the cache."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
 def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
-    """Return the incremental model of a ship linearised `turn_rad` further.
+    """Return a ship's incremental model linearised at a heading `turn_rad` further on.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y
@@ -139,7 +139,7 @@ def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
         raise ShapeError.of("rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship")
-    R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
+    R, A, B = rotation_matrix(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]
         B[rows] = R @ B[rows]

@@ -14,7 +14,7 @@ CLIP_TOLERANCE = 1e-9
 
 
 class MoveLimit(Protocol):
-    """Limits a move, writes the applied force and returns whether anything was cut.
+    """Function that applies rate and amplitude limits to a planned control increment.
 
     u (n_u,) the force applied before; du (n_u,) the move; limits : those in force.
     """
@@ -24,14 +24,14 @@ class MoveLimit(Protocol):
 
 
 def move_limit(problem: ControlProblem) -> MoveLimit:
-    """Return the limiter of a problem: axis by axis, or thrusters as a whole."""
+    """Return the limiter of control increments: axis by axis, or each thruster as a whole."""
     if problem.thrusters is None:
         return AxisLimit(problem.du_max)
     return ThrusterLimit(problem.thrusters, problem.du_max)
 
 
 class AxisLimit:
-    """Limits each axis of the force by itself (`limit_move`)."""
+    """Limiter that clips each axis of the force by itself to its rate and amplitude limits."""
 
     def __init__(self, du_max: Vector) -> None:
         self._du_max = du_max
@@ -44,7 +44,7 @@ class AxisLimit:
 
 @njit(cache=True)
 def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Write applied = clip(u + clip(Δu, ±Δu_max), reachable limits); return whether it cut.
+    """Write u + Δu, clipped to rate and amplitude limits, to `applied`; return whether it was cut.
 
     The reachable limits of the first move are max(u_max, u − Δu_max) and min(u_min, u + Δu_max):
     rate before amplitude, so no actuator limit is ever violated by an inexact answer. A force
@@ -63,7 +63,7 @@ def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped
 
 
 class ThrusterLimit:
-    """Limits thrusters, each as a whole (`thruster_rows`).
+    """Limiter that shortens the force change of each thruster as a whole.
 
         applied = b + t (f + clip(Δf, ±Δf_max) − b),   largest t ≤ 1 within low ≤ G · ≤ high
 
@@ -73,7 +73,7 @@ class ThrusterLimit:
 
     def __init__(self, rows: ThrusterRows, du_max: Vector) -> None:
         self._rows, self._du_max = rows, du_max
-        self._row_max = rows.units(du_max)
+        self._row_max = rows.row_units(du_max)
         self._ramp_down = LimitRampDown(rows, du_max, self._row_max, 1)
         self._rounding = CLIP_TOLERANCE * self._row_max
 
@@ -85,13 +85,13 @@ class ThrusterLimit:
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            closing = self._ramp_down.limits(u, limits)
+            closing = self._ramp_down.compute_limits(u, limits)
             u_min, u_max = (side[0] * self._row_max + before for side in closing)
             beyond = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)
             back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
             base = np.where(beyond, back * u, u)
-        target = u + self._at_rate(u, du)
+        target = u + self._limit_rate(u, du)
         at_base, change = rows.G @ base, rows.G @ (target - base)
         room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
         share = np.full(len(room), 1.0)
@@ -102,6 +102,6 @@ class ThrusterLimit:
         applied[...] = base + t[rows.entry] * (target - base)
         return bool((np.abs(applied - u - du) > CLIP_TOLERANCE * du_max).any())
 
-    def _at_rate(self, u: Vector, du: Vector) -> Vector:
-        """Return the move du (n_f,) cut to the rate limits, from u on."""
+    def _limit_rate(self, u: Vector, du: Vector) -> Vector:
+        """Return the force changes du (n_f,) clipped to the rate limits."""
         return np.clip(du, -self._du_max, self._du_max)

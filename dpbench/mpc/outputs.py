@@ -17,18 +17,17 @@ from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.soft_limits import ConstraintBlock, unlimited
+from dpbench.mpc.soft_limits import ConstraintBlock, infinite_limits
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
 class OutputBounds:
-    """Bounds on predicted position and speed.
+    """Soft bounds on predicted position (a watch circle) and on predicted speed.
 
-    sample_s : ΔT.
+    sample_s : ΔT; sides : K.
     radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.
-    sides : K.
     """
 
     sample_s: float
@@ -38,25 +37,25 @@ class OutputBounds:
 
     @property
     def directions(self) -> Matrix:
-        """Outward normals d of the sides (K, 2)."""
+        """Outward unit normals (K, 2) of the polygon that replaces a circle."""
         angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
         return np.column_stack((np.cos(angle), np.sin(angle)))
 
     @property
-    def inside(self) -> float:
-        """Distance of the sides from the centre, in radii."""
+    def inradius(self) -> float:
+        """Distance of the polygon's sides from its centre, as a share of the circle's radius."""
         return float(np.cos(np.pi / self.sides))
 
 
-def instants(N_p: int, N_c: int) -> Indices:
-    """Return the N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
+def bounded_steps(N_p: int, N_c: int) -> Indices:
+    """Return the N_c prediction steps at which outputs are bounded, spread evenly up to N_p."""
     return np.arange(1, N_c + 1) * N_p // N_c
 
 
 def output_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
 ) -> list[ConstraintBlock]:
-    """Return the blocks of the watch circle and of the speed, where bounded."""
+    """Return the constraint blocks of the watch circle and of the speed bound."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
@@ -64,10 +63,10 @@ def output_blocks(
     free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
     moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, HORIZONTAL]
-    i = instants(problem.N_p, problem.N_c)
+    i = bounded_steps(problem.N_p, problem.N_c)
     blocks = []
     if bounds.radius_m is not None:
-        block = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
+        block = _polygon_block(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
         # The circle is centred on the reference.
         block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL] = (
             bounds.directions / block.row_unit[0]
@@ -76,11 +75,11 @@ def output_blocks(
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
         rate, push = per_s * (free[i] - free[i - 1]), per_s * (moved[i] - moved[i - 1])
-        blocks.append(_polygon(problem, bounds, rate, push, bounds.speed_mps, rho))
+        blocks.append(_polygon_block(problem, bounds, rate, push, bounds.speed_mps, rho))
     return blocks
 
 
-def _polygon(
+def _polygon_block(
     problem: ControlProblem,
     bounds: OutputBounds,
     free: Floats,
@@ -88,7 +87,7 @@ def _polygon(
     radius: float,
     rho: float,
 ) -> ConstraintBlock:
-    """Return sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
+    """Return the block that bounds a predicted horizontal vector by a polygon around the origin.
 
     One unit of a row is the effect of a full rate-limit step at k of the strongest axis at the last
     instant; it is the same at every heading.
@@ -98,8 +97,8 @@ def _polygon(
     d = bounds.directions / unit
     high = np.zeros((len(free), K, theta.size))
     high[:, :, theta.x] = -(d @ free)
-    high[:, :, theta.one] = bounds.inside * radius / unit
+    high[:, :, theta.one] = bounds.inradius * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
-    low, rhos = unlimited(high, -1.0), np.full(K, rho)
+    low, rhos = infinite_limits(high, -1.0), np.full(K, rho)
     return ConstraintBlock(rows, -np.eye(K), low, high, units, units, rhos)

@@ -19,14 +19,14 @@ FILTER_ORDER = 3
 
 @dataclass(frozen=True)
 class ReferenceFilter:
-    """Natural period 2π/ω [s] and relative damping ζ of the filter."""
+    """Natural period [s] and relative damping of the filter that smooths the reference."""
 
     period_s: float
     damping: float = 1.0
 
 
 def unwrap_pose(target: Vector, start: Vector) -> Vector:
-    """Return the pose `target` (3,) with its heading within π of the start's."""
+    """Return the pose `target` (3,) with its heading shifted to within π of that of `start`."""
     reference = target.copy()
     reference[YAW] = nearest_turn(target[YAW], start[YAW])
     return reference
@@ -39,7 +39,7 @@ def build_reference_table(
     sample_s: float,
     smoothed: ReferenceFilter | None = None,
 ) -> Matrix:
-    """Return the reference at each sample: (samples, 3) [m, m, rad], heading unwrapped.
+    """Return the reference pose at each sample (samples, 3) [m, m, rad], smoothed if required.
 
     start, target : (3,) poses; the filter begins at rest at the start. smoothed : the filter; None
     for a set-point from the first sample on.

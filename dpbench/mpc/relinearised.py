@@ -23,7 +23,7 @@ import numpy as np
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
-from dpbench.mpc.condensed_qp import CondensedQP, Form
+from dpbench.mpc.condensed_qp import CondensedOptions, CondensedQP
 from dpbench.mpc.model import HEADING
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep
@@ -38,7 +38,7 @@ Wave = TypeVar("Wave", float, Vector)
 
 @dataclass(frozen=True, eq=False)
 class HeadingSeries:
-    """A matrix whose entries are trigonometric polynomials of degree 2 in a turn δ.
+    """Matrix-valued trigonometric polynomial of degree 2 in the change of heading δ.
 
         entry(δ) = c_0 + c_1 cos δ + c_2 sin δ + c_3 cos 2δ + c_4 sin 2δ
 
@@ -52,19 +52,19 @@ class HeadingSeries:
 
     @classmethod
     def of(cls, samples: Sequence[Matrix]) -> HeadingSeries:
-        """Fit the polynomial through 2-D samples at the turns `_TURNS`."""
+        """Fit the polynomial to matrices sampled at five equally spaced headings."""
         stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
         size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)
         stack = stack.reshape(len(_TURNS), -1)
         varying = np.flatnonzero(np.ptp(stack, axis=0) > size)
         values, size = stack[:, varying], size[varying]
-        waves = 0.4 * np.array(_waves(np.cos(_TURNS), np.sin(_TURNS))) @ values
+        waves = 0.4 * np.array(_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
         terms = [(k, wave) for k, wave in enumerate(waves) if (np.abs(wave) > size).any()]
         return cls(varying, values.mean(axis=0), terms)
 
     def write(self, turn_rad: float, out: Matrix) -> None:
-        """Write the varying entries at a turn into a contiguous `out`."""
-        waves = _waves(math.cos(turn_rad), math.sin(turn_rad))
+        """Evaluate the polynomial at a turn [rad] and write the varying entries into `out`."""
+        waves = _harmonics(math.cos(turn_rad), math.sin(turn_rad))
         # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
         values = self.constant.copy()
         for k, coefficients in self.terms:
@@ -72,13 +72,13 @@ class HeadingSeries:
         out.reshape(-1)[self.varying] = values
 
 
-def _waves(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
+def _harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
     """Return cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
     return c, s, c * c - s * s, 2.0 * c * s
 
 
 class RelinearisedQP(CondensedQP):
-    """The DP MPC problem re-linearised at the heading in x of each step.
+    """Builder of the condensed QP, re-linearised at the measured heading of each step.
 
     problem, units, amplitude, outputs, penalty : as for `CondensedQP`.
     psi0_rad : heading at which the model of `problem` is linearised.
@@ -98,7 +98,7 @@ class RelinearisedQP(CondensedQP):
         psi0_rad: float,
         threshold_rad: float = 0.0,
         always: bool = True,
-        **form: Unpack[Form],
+        **form: Unpack[CondensedOptions],
     ) -> None:
         super().__init__(problem, **form)
         if not threshold_rad >= 0.0:
@@ -106,7 +106,7 @@ class RelinearisedQP(CondensedQP):
         self.psi0_rad = self.heading_rad = psi0_rad
         self.threshold_rad = threshold_rad
         self._condensed_at = psi0_rad
-        *samples, check = [self._build_at(turn) for turn in (*_TURNS, _CHECKED_TURN)]
+        *samples, check = [self._condense_at(turn) for turn in (*_TURNS, _CHECKED_TURN)]
         self._sampled = [sample.matrices for sample in samples]
         self._series = {
             name: HeadingSeries.of([getattr(sample, name) for sample in samples])
@@ -116,11 +116,13 @@ class RelinearisedQP(CondensedQP):
         self._brings_P = always or len(self._series["P"].varying) > 0
         self._brings_A = len(self._series["A"].varying) > 0
 
-    def _build_at(self, turn_rad: float) -> CondensedQP:
-        form = Form(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
+    def _condense_at(self, turn_rad: float) -> CondensedQP:
+        """Build the condensed QP with the model linearised at a heading `turn_rad` further on."""
+        form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
         return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
     def _verify_series(self, check: CondensedQP) -> None:
+        """Raise InputError where the polynomials miss the QP condensed at one more heading."""
         for name, series in self._series.items():
             condensed, interpolated = getattr(check, name), getattr(self, name).copy()
             series.write(_CHECKED_TURN, interpolated)
@@ -133,7 +135,7 @@ class RelinearisedQP(CondensedQP):
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """E, F, Φ of the paper in SI units at the last heading; slow after a turn."""
+        """Condensed matrices E, F and Φ in SI units at the last heading; slow after a turn."""
         if self._condensed_at != self.heading_rad:
             turn = self.heading_rad - self.psi0_rad
             self._matrices = condense_matrices(self.control.rotate(turn))
@@ -142,15 +144,17 @@ class RelinearisedQP(CondensedQP):
 
     @cached_property
     def _reference_series(self) -> HeadingSeries:
+        """Polynomial in the heading of the map from the reference to the gradient."""
         return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
 
     def _reference_map(self) -> Matrix:
+        """Return the map from the reference to the gradient at the current heading."""
         F_y = self._sampled[0].F_y.copy()
         self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
         return F_y
 
     def linearise(self, psi_rad: float) -> None:
-        """Linearise the model at a heading for this step and those that follow."""
+        """Update P, A and Z to the model linearised at the heading psi_rad."""
         self.heading_rad = float(psi_rad)
         turn = self.heading_rad - self.psi0_rad
         if len(self._series["P"].varying):
@@ -165,7 +169,7 @@ class RelinearisedQP(CondensedQP):
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP of one step as `CondensedQP.emit`, with the matrices of its heading.
+        """Return the QP of one step, re-linearised if the heading has changed by the threshold.
 
         A re-linearised step brings P (see `always`), and A where its entries depend on the heading:
         those of output bounds do, scaled amplitude rows do not.

@@ -24,7 +24,7 @@ from dpbench.qp.program import Units
 
 @dataclass(frozen=True, eq=False)
 class Penalty:
-    """Costs of a unit of slack, in scaled units.
+    """Linear and quadratic costs of the slack variables, in scaled units.
 
     amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit; of thrusters
     (p,), each of which has one slack for all its sides. outputs : ρ of the output slacks, per unit
@@ -37,7 +37,7 @@ class Penalty:
 
     @classmethod
     def default(cls, problem: ControlProblem, P: Matrix) -> Penalty:
-        """Return penalties above the multipliers' size, from the scaled P (n, n) of the moves.
+        """Return slack penalties large enough to be exact, from the scaled Hessian P (n, n).
 
         A multiplier of an amplitude row is the slope of the cost along a force: P times the
         distance d between the plan and the unconstrained one, at most ‖P_i‖_1 d while no rate limit
@@ -51,7 +51,7 @@ class Penalty:
         span = (problem.u_max - problem.u_min) / problem.row_max
         largest = size.sum(axis=1).reshape(-1, n_u).max(axis=0)
         if problem.thrusters is not None:
-            span, largest = problem.thrusters.of_each(span, largest)
+            span, largest = problem.thrusters.thruster_maxima(span, largest)
         amplitude = 0.25 * span * largest
         outputs = 0.5 * float(span.max() * size.max())
         return cls(amplitude, outputs, float(np.linalg.eigvalsh(P)[0]))
@@ -59,7 +59,7 @@ class Penalty:
 
 @dataclass(frozen=True, eq=False)
 class ConstraintBlock:
-    """r rows and s slacks per move.
+    """Constraint rows and slack variables that are added to every move of a condensed QP.
 
     A_moves : (N_c, r, N_c·n_u) coefficients of the moves; A_slack : (r, s) of the move's slacks.
     low, high : (N_c, r, n_θ + 1) limits as maps of [θ; 1]; ±inf in the last column.
@@ -75,15 +75,15 @@ class ConstraintBlock:
     rho: Vector
 
 
-def unlimited(like: Floats, sign: float) -> Floats:
-    """Return the map of limits that are infinite whatever θ is."""
+def infinite_limits(like: Floats, sign: float) -> Floats:
+    """Return the affine map of limits that are all +inf or −inf, in the shape of `like`."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf
     return rows
 
 
 def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
-    """Return amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
+    """Return the block of amplitude limits, softened by slacks where penalties ρ are given.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
     upper rows G C2 z − s ≤ u, then r lower rows G C2 z + s ≥ l.
@@ -98,16 +98,16 @@ def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> C
     own, slack_unit = np.eye(r), unit
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
-        slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
+        slack_unit, _ = problem.thrusters.thruster_maxima(unit, problem.du_max)
     rows = np.concatenate((sums, sums), axis=1), np.vstack((-own, own))
-    lower = np.concatenate((unlimited(high, -1.0), low), axis=1)
-    upper = np.concatenate((high, unlimited(low, 1.0)), axis=1)
+    lower = np.concatenate((infinite_limits(high, -1.0), low), axis=1)
+    upper = np.concatenate((high, infinite_limits(low, 1.0)), axis=1)
     return ConstraintBlock(*rows, lower, upper, np.concatenate((unit, unit)), slack_unit, rho)
 
 
 @dataclass(frozen=True, eq=False)
 class AssembledBlocks:
-    """Matrices of a QP with blocks; `block` variables per move, `si` the units in SI."""
+    """Matrices of a condensed QP with constraint blocks and slacks."""
 
     P: Matrix
     A: Matrix
@@ -118,17 +118,17 @@ class AssembledBlocks:
     block: int
 
     def in_si(self) -> AssembledBlocks:
-        """Return the same problem with z and rows in SI units."""
+        """Return the assembled QP with variables and rows converted to SI units."""
         z, row = self.si.z, self.si.row
         P, A = self.P / np.outer(z, z), self.A * row[:, np.newaxis] / z
         Z = self.Z * np.concatenate((1.0 / z, row, row))[:, np.newaxis]
         return replace(self, P=P, A=A, lb=self.lb * z, ub=self.ub * z, Z=Z)
 
 
-def assemble(
+def assemble_blocks(
     P: Matrix, Z_q: Matrix, du_max: Vector, blocks: list[ConstraintBlock], epsilon: float
 ) -> AssembledBlocks:
-    """Assemble the blocks on the scaled cost P (n_0, n_0), q = Z_q [θ; 1] of the moves."""
+    """Assemble a QP from the scaled cost of the moves and constraint blocks with slacks."""
     n_u, N_c = len(du_max), len(P) // len(du_max)
     units = np.concatenate([du_max, *(part.slack_unit for part in blocks)])
     rows = np.concatenate([part.row_unit for part in blocks])

@@ -31,7 +31,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.terminal import riccati
+from dpbench.mpc.terminal import solve_riccati
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
@@ -40,7 +40,7 @@ PlainAmplitude = Literal["reachable", "hard"]  # Policies without slacks
 
 
 class StagedQP:
-    """The DP MPC problem with states kept; InputError for other units or a policy with slacks.
+    """Builder of the sparse MPC problem, which keeps the states as variables.
 
     problem : model, horizons, weights and limits in SI units.
     units : "scaled" (Δu and u in steps of the rate limit) or "si"; states are in SI units in both.
@@ -83,43 +83,47 @@ class StagedQP:
         if problem.thrusters is not None:
             self._ramp_down = LimitRampDown(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
-    def _first(self, i: int, width: int) -> int:
-        """Return where stage i begins if one with a move is so wide; others have a state alone."""
+    def _stage_start(self, i: int, width: int) -> int:
+        """Return the index at which stage i begins, where stages with a move are `width` wide."""
         behind = max(i - self.control.N_c, 0)
         return (i - behind) * width + behind * self.control.model.n_x
 
-    def _state(self, i: int) -> slice:
+    def _state_slice(self, i: int) -> slice:
+        """Return the slice of stage i's predicted state in the QP variables."""
         model = self.control.model
-        first = self._first(i, self._width) + (2 * model.n_u if i < self.control.N_c else 0)
+        first = self._stage_start(i, self._width) + (2 * model.n_u if i < self.control.N_c else 0)
         return slice(first, first + model.n_x)
 
     def _build_cost(self) -> None:
+        """Build the Hessian P and the maps from the reference to the gradient q."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
         self.P: Matrix = np.zeros((self.n, self.n))
         for i in range(problem.N_c):
-            at = slice(self._first(i, self._width), self._first(i, self._width) + model.n_u)
+            first = self._stage_start(i, self._width)
+            at = slice(first, first + model.n_u)
             self.P[at, at] = 0.5 * (move + move.T)
             if problem.W is not None:
                 force = slice(at.stop, at.stop + model.n_u)
                 self.P[force, force] = problem.W * np.outer(unit, unit)
         for i in range(problem.N_p):
-            self.P[self._state(i), self._state(i)] = 0.5 * (weight + weight.T)
+            self.P[self._state_slice(i), self._state_slice(i)] = 0.5 * (weight + weight.T)
         # q along each state, per unit of its reference, and what the last one has on top.
         self._slope: Matrix = -model.C.T @ problem.Q
         self._end: Matrix = np.zeros((model.n_x, model.n_y))
         if problem.terminal == "riccati":
-            S = riccati(model, problem.Q, problem.R, problem.du_max)
-            last = self._state(problem.N_p - 1)
+            S = solve_riccati(model, problem.Q, problem.R, problem.du_max)
+            last = self._state_slice(problem.N_p - 1)
             self.P[last, last] = 0.5 * (S + S.T)
             self._end = (weight - S) @ model.C.T
         self._held: Matrix = np.zeros((self.n, model.n_y))
         for i in range(problem.N_p):
-            self._held[self._state(i)] = self._slope
+            self._held[self._state_slice(i)] = self._slope
         self._held[-model.n_x :] += self._end
 
     def _build_rows(self) -> None:
+        """Build the rows A of dynamics and amplitude limits, their limits, and the bounds."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit
@@ -127,42 +131,42 @@ class StagedQP:
         self.A: Matrix = np.zeros((self.m, self.n))
         low, high = np.zeros(self.m), np.zeros(self.m)
         for i in range(problem.N_p):
-            row, first = self._first(i, self._row_width), self._first(i, self._width)
+            row, first = self._stage_start(i, self._row_width), self._stage_start(i, self._width)
             if i < problem.N_c:
                 du, u = slice(first, first + n_u), slice(first + n_u, first + 2 * n_u)
                 moved = slice(row, row + n_u)
                 limited = slice(row + n_u + n_x, row + self._row_width)
                 self.A[moved, du], self.A[moved, u] = -one, one
                 if i > 0:
-                    before = self._first(i - 1, self._width) + n_u
+                    before = self._stage_start(i - 1, self._width) + n_u
                     self.A[moved, before : before + n_u] = -one
                 self.A[limited, u] = G
                 low[limited] = problem.u_min / self._row_unit
                 high[limited] = problem.u_max / self._row_unit
                 row += n_u
                 self.A[row : row + n_x, du] = -B
-            self.A[row : row + n_x, self._state(i)] = np.eye(n_x)
+            self.A[row : row + n_x, self._state_slice(i)] = np.eye(n_x)
             if i > 0:
-                self.A[row : row + n_x, self._state(i - 1)] = -model.A
+                self.A[row : row + n_x, self._state_slice(i - 1)] = -model.A
         self._low, self._high = low, high
         self.ub: Vector = np.full(self.n, np.inf)
-        self._moves(self.ub)[...] = problem.du_max / unit
+        self._view_moves(self.ub)[...] = problem.du_max / unit
         self.lb: Vector = -self.ub
 
-    def _moves(self, along: Vector) -> Matrix:
-        """Return a view (N_c, n_u) of the moves in an array over the variables."""
+    def _view_moves(self, along: Vector) -> Matrix:
+        """Return a view (N_c, n_u) of the control increments in a vector of QP variables."""
         stages = along[: self._cut].reshape(self.control.N_c, self._width)
         return stages[:, : self.control.model.n_u]
 
-    def _amplitudes(self, along: Vector) -> Matrix:
-        """Return a view (N_c, r) of the amplitude rows in an array over the rows."""
+    def _view_amplitude_rows(self, along: Vector) -> Matrix:
+        """Return a view (N_c, r) of the amplitude rows in a vector over the QP rows."""
         stages = along[: self._row_cut].reshape(self.control.N_c, self._row_width)
         return stages[:, -len(self._row_unit) :]
 
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP of one step, in memory of its own; arguments as of `CondensedQP.emit`.
+        """Return the QP data q, l and u of one control step, in newly allocated memory.
 
         Under the policy `reachable` a limit is extended as far as the rate allows, rounded to the
         side of the forces that moves can reach, so that no rounding makes the step infeasible.
@@ -173,14 +177,14 @@ class StagedQP:
         before = u_prev / self._unit
         low[:n_u] = high[:n_u] = before
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
-        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
+        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview_gradient(y_ref)
         if limits is not None:
-            u_min, u_max = self._in_force(before, limits)
-            self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
+            u_min, u_max = self._effective_limits(before, limits)
+            self._view_amplitude_rows(low)[...], self._view_amplitude_rows(high)[...] = u_min, u_max
         return QPStep(q, low, high)
 
-    def _in_force(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return the limits of the rows in own units, by the policy."""
+    def _effective_limits(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+        """Return amplitude limits in row units, extended to what the rate limit can reach."""
         low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
             return low, high
@@ -190,11 +194,11 @@ class StagedQP:
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._ramp_down.limits(force, limits)
+        low, high = self._ramp_down.compute_limits(force, limits)
         return along + low * unit, along + high * unit
 
-    def _preview(self, y_ref: Matrix) -> Vector:
-        """Return q of a reference that changes along the horizon (N_p, n_y)."""
+    def _preview_gradient(self, y_ref: Matrix) -> Vector:
+        """Return the gradient q (n,) for a reference (N_p, n_y) that changes along the horizon."""
         N_c, n_x = self.control.N_c, self.control.model.n_x
         along = y_ref @ self._slope.T
         along[-1] += self._end @ y_ref[-1]
@@ -204,7 +208,7 @@ class StagedQP:
         return q
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """Return the whole problem of one step."""
+        """Return the complete sparse QP of one step, with its stage sizes."""
         n_x, n_u, N_c = self.control.model.n_x, self.control.model.n_u, self.control.N_c
         # Of HPIPM's stages: u_{k-1} and x_k are states of stage k, Δu_k its input.
         moved, last, behind = (n_u + n_x, n_u), (n_u + n_x, 0), (n_x, 0)
@@ -213,12 +217,12 @@ class StagedQP:
         return QuadraticProgram(self.P, *vectors, stages=stages)
 
     def condensed(self, solution: Solution) -> Solution:
-        """Return the moves and their multipliers: the condensed problem's answer in these units.
+        """Return the condensed problem's solution: increments, amplitude and bound multipliers.
 
         NaN stays NaN; a claim of infeasibility keeps its proof (see the module).
         """
         return solution.with_iterate(
-            self._moves(solution.z).reshape(-1),
-            self._amplitudes(solution.y).reshape(-1),
-            self._moves(solution.y_box).reshape(-1),
+            self._view_moves(solution.z).reshape(-1),
+            self._view_amplitude_rows(solution.y).reshape(-1),
+            self._view_moves(solution.y_box).reshape(-1),
         )

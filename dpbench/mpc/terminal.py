@@ -20,7 +20,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class TerminalCost:
-    """W (n_x, n_x), A^{N_p} (n_x, n_x), Γ (n_x, N_c·n_u) and C (n_y, n_x), in SI units."""
+    """Quadratic cost of the state at the end of the prediction horizon, in SI units."""
 
     W: Matrix
     A_N: Matrix
@@ -29,28 +29,28 @@ class TerminalCost:
 
     @property
     def E(self) -> Matrix:
-        """Addition to E (n, n): Γᵀ W Γ, symmetric to the last bit."""
+        """Addition Γᵀ W Γ (n, n) to the condensed Hessian, symmetric to the last bit."""
         E = self.Gamma.T @ self.W @ self.Gamma
         return 0.5 * (E + E.T)
 
     @property
     def F_x(self) -> Matrix:
-        """Addition to F_x (n, n_x)."""
+        """Addition (n, n_x) to the map from the state to the condensed gradient."""
         return self.Gamma.T @ self.W @ self.A_N
 
     @property
     def F_y(self) -> Matrix:
-        """Addition to the part of F_held, or F_y, of the last reference (n, n_y)."""
+        """Addition (n, n_y) to the map from the last reference to the condensed gradient."""
         return -self.Gamma.T @ self.W @ self.C.T
 
     def constant(self, x: Vector, y_d: Vector) -> float:
-        """Return the addition to J0, for the reference y_d (n_y,) of the last step."""
+        """Return the terminal cost at zero increments, for the last reference y_d (n_y,)."""
         away = self.A_N @ x - self.C.T @ y_d
         return 0.5 * float(away @ self.W @ away)
 
 
-def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
-    """Return S (n_x, n_x) of the incremental model, with the inputs in units of du_max (n_u,).
+def solve_riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
+    """Return the solution S (n_x, n_x) of the discrete algebraic Riccati equation.
 
     InputError when no stabilising solution exists, as for an output that no input controls.
     """
@@ -70,16 +70,16 @@ def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
     return np.asarray(S, dtype=np.float64)
 
 
-def terminal_cost(
+def build_terminal_cost(
     model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector, N_p: int, N_c: int
 ) -> TerminalCost:
-    """Return the terminal cost of a horizon N_p with N_c moves."""
+    """Return the infinite-horizon terminal cost for horizons N_p and N_c."""
     n_u = model.n_u
     Gamma = np.empty((model.n_x, N_c * n_u))
     reached = np.linalg.matrix_power(model.A, N_p - N_c) @ model.B
     for j in range(N_c - 1, -1, -1):
         Gamma[:, j * n_u : (j + 1) * n_u] = reached
         reached = model.A @ reached
-    W = riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
+    W = solve_riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
     A_N = np.linalg.matrix_power(model.A, N_p)
     return TerminalCost(0.5 * (W + W.T), A_N, Gamma, model.C)

@@ -27,7 +27,7 @@ NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)  # Of limits that belong to no
 
 
 class Limits(NamedTuple):
-    """Limits low, high (r,) of a force or of rows of thrusters; `lost` (p,) thrusters."""
+    """Lower and upper limits (r,) of the rows of a force, and the flags of lost thrusters."""
 
     low: Vector
     high: Vector
@@ -36,7 +36,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ThrusterRows:
-    """low ≤ G f ≤ high, the limits of all thrusters; r rows, those of a thruster together.
+    """Linear limits low ≤ G f ≤ high of all thrusters, the rows of one thruster together.
 
     G (r, n_f) : rows, each of unit length on the entries of one thruster.
     low, high (r,) : limits [N]; zero lies within. intact : these limits with no thruster lost.
@@ -54,19 +54,19 @@ class ThrusterRows:
         intact = Limits(self.low, self.high, np.zeros(self.entry[-1] + 1, dtype=np.bool_))
         object.__setattr__(self, "intact", intact)
 
-    def units(self, df_max: Vector) -> Vector:
-        """Return (r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
+    def row_units(self, df_max: Vector) -> Vector:
+        """Return the change of each row (r,) by a full rate-limit step df_max (n_f,): its unit."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 
-    def of_each(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """Return the largest value among the rows (r,) and the entries (n_f,) of each thruster."""
+    def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
+        """Return each thruster's largest row value and its largest entry value, (p,) each."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
-    def without(self, lost: Collection[int]) -> Limits:
-        """Return the limits in which the thrusters of these numbers are lost and give nothing.
+    def limits_after_loss(self, lost: Collection[int]) -> Limits:
+        """Return the limits after the loss of thrusters, given by index: those give no force.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
         each other: more would be redundant.
@@ -81,8 +81,8 @@ class ThrusterRows:
 
 
 def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
-    """Return the rows of a ship's thrusters, azimuths with an even number of sides."""
-    normals, lows, highs = zip(*(_rows_of(t, sides) for t in thrusters.thrusters), strict=True)
+    """Return linear limits of a ship's thrusters: polygons of `sides` sides for azimuths."""
+    normals, lows, highs = zip(*(_limit_rows(t, sides) for t in thrusters.thrusters), strict=True)
     numbers = np.arange(len(lows))
     thruster = np.repeat(numbers, [len(low) for low in lows])
     entry = np.repeat(numbers, [t.components for t in thrusters.thrusters])
@@ -90,8 +90,8 @@ def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
     return ThrusterRows(G, np.concatenate(lows), np.concatenate(highs), thruster, entry)
 
 
-def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
-    """Return normals (r_i, components), low and high (r_i,) of one thruster."""
+def _limit_rows(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
+    """Return the limit rows of one thruster: normals (r_i, components), low and high (r_i,)."""
     if thruster.kind != "azimuth":
         most = np.array([thruster.thrust_N])
         return np.ones((1, 1)), -thruster.astern * most, most
@@ -114,7 +114,7 @@ NEGLIGIBLE_STEPS = 0.05  # A smaller rest of a force counts as zero, well within
 
 
 class LimitRampDown:
-    """Limits that dropped below a force, closing in so that they stay reachable at its rate.
+    """Gradual tightening of limits below the present force, so that they stay reachable.
 
         λ_i = 1 − 0.9 i Δf_max / |f| at move i, zero where hardly anything is left
         lost thruster:  all its rows at λ_i g of their intact limits, g the share that holds f now
@@ -150,14 +150,14 @@ class LimitRampDown:
         table[G_FROM:, :r] = rows.G.T
         self._table: Matrix = table
 
-    def limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return low and high at each move, less G f, in units of rows: (N_c, r) each."""
+    def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+        """Return low and high (N_c, r) at each move, relative to G f and in units of the rows."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
-        self.write(f, limits, l.reshape(-1), u.reshape(-1))
+        self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
-    def write(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
-        """Write the limits into the first r of the rows of each move in l and u (m,)."""
+    def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+        """Write the gradually tightened limits of each move into its first r rows in l and u."""
         _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
@@ -177,7 +177,7 @@ def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ign
     t, first = 0, 0
     while first < r:
         end = int(table[ROW_FROM, t + 1])
-        gauge = _gauge(table, first, end)
+        gauge = _used_share(table, first, end)
         steps = 0.0
         for j in range(int(table[ENTRY_FROM, t]), int(table[ENTRY_FROM, t + 1])):
             steps += (f[j] / table[DU_MAX, j]) ** 2
@@ -199,8 +199,8 @@ def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ign
 
 
 @njit(cache=True, error_model="numpy")
-def _gauge(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Return the share of a thruster's intact limits that holds its force."""
+def _used_share(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Return the share of its intact limits that a thruster's force uses."""
     gauge = 0.0
     for k in range(first, end):
         along = table[ALONG, k]

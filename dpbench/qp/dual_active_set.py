@@ -25,7 +25,7 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 >>> s = 0.5**0.5
 >>> J, upper = np.array([[1.0, 0.0, s], [0.0, 1.0, s]]), np.array([1.0, 1.0, 2.5 * s])
 >>> method = DualActiveSet(J, np.array([3.0, 3.0]), -upper - 10.0, upper, limit=9)
->>> method._most_violated(), method._add_row(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
+>>> method._find_most_violated(), method._add_row(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
 ((2, 1.0), None, True)
 >>> outcome = method.run()
 >>> outcome.multipliers.round(12).tolist(), outcome.iterations
@@ -62,7 +62,7 @@ _State = tuple[list[int], Vector, Vector, Matrix, Matrix]
 
 
 class Ending(Enum):
-    """Ways in which the method ends."""
+    """Outcome of the dual active-set method: optimal, infeasible or iteration limit."""
 
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"
@@ -71,12 +71,11 @@ class Ending(Enum):
 
 @dataclass(eq=False)
 class Outcome:
-    """Final state of the method.
+    """Result of the dual active-set method: final active set, multipliers and iteration count.
 
     active : rows of the final set; side : (p,) +1 where a row was added at its upper limit, −1 at
-    its
-    lower one; multipliers : (p,) signed, positive at an upper limit, at `INFEASIBLE` a Farkas ray;
-    iterations : rows added or dropped.
+    its lower one; multipliers : (p,) signed, positive at an upper limit, at `INFEASIBLE` a Farkas
+    ray; iterations : rows added or dropped.
     """
 
     ending: Ending
@@ -87,7 +86,7 @@ class Outcome:
 
 
 class DualActiveSet:
-    """One run of the method.
+    """Dual active-set solver for the projection of a point onto lower ≤ Jᵀx ≤ upper.
 
     J : (n, p) columns of unit length, or zero.
     x0 : (n,) the point to project.
@@ -117,41 +116,40 @@ class DualActiveSet:
         self.iterations = 0
 
     def run(self, start: Vector | None = None) -> Outcome:
-        """Add violated rows until there is none left or no step is possible.
+        """Add violated rows to the active set until none is left or no step is possible.
 
-        start : (p,) +1 or −1 for rows at their upper or lower limit to begin with, independent of
-        one
-        another; None for the empty set.
+        start : (p,) +1 or −1 for independent rows to begin with, at their upper or lower limit.
         """
         if start is not None:
-            self._start_from(start)
+            self._warm_start(start)
         while True:
-            j, side = self._most_violated()
+            j, side = self._find_most_violated()
             if j < 0:
-                return self._outcome(Ending.OPTIMAL)
+                return self._build_outcome(Ending.OPTIMAL)
             if (ending := self._add_row(j, side)) is not None:
-                return self._outcome(ending)
+                return self._build_outcome(ending)
 
-    def _start_from(self, start: Vector) -> None:
-        """Begin with the rows of `start` less those whose multipliers are wrong: dual feasible."""
+    def _warm_start(self, start: Vector) -> None:
+        """Start from the active set `start`, less the rows with multipliers of the wrong sign."""
         self._active = [int(i) for i in np.flatnonzero(start)]
         self._side[self._active] = start[self._active]
         while self._active:
-            self._factor()
-            self._recompute()
+            self._factor_active_rows()
+            self._recompute_iterate()
             wrong = np.where(self._free, 0.0, self._side * self._lam)[self._active]
             worst = int(np.argmin(wrong))
             if wrong[worst] >= 0.0:
                 return
             self._lam[self._active.pop(worst)] = 0.0
-        self._factor()
+        self._factor_active_rows()
         self._x = self._base
 
-    def _outcome(self, ending: Ending) -> Outcome:
+    def _build_outcome(self, ending: Ending) -> Outcome:
+        """Return the present active set, multipliers and iteration count as the result."""
         active = np.array(self._active, dtype=np.intp)
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
-    def _most_violated(self) -> tuple[int, float]:
+    def _find_most_violated(self) -> tuple[int, float]:
         """Return the inactive row violated most, and +1 at its upper or −1 at its lower limit."""
         w = self._x @ self._J
         over, under = w - self._upper, self._lower - w
@@ -170,25 +168,28 @@ class DualActiveSet:
         return j, side
 
     def _add_row(self, j: int, side: float) -> Ending | None:
-        """Raise the multiplier of row j until the row is active; rows that block are dropped."""
+        """Raise the multiplier of row j until the row is active; drop rows that block."""
         J, lam = self._J, self._lam
         limit = self._upper[j] if side > 0.0 else self._lower[j]
         self._side[j] = side
         before = self._active.copy(), lam.copy(), self._x, self._Q, self._R
         excess = side * (float(J[:, j] @ self._x) - limit)
-        rounding = excess <= WRITTEN_TWICE * self._scale_of(limit)
+        rounding = excess <= WRITTEN_TWICE * self._violation_scale(limit)
         while self.iterations < self._limit:
             self.iterations += 1
             a = side * J[:, j]
             r, d = self._project(a)
             gap = float(a @ self._x) - side * limit
             dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
-            blocking, t_dual = self._blocking_row(r, NO_PART if dependent else 0.0)
+            blocking, t_dual = self._find_blocking_row(r, NO_PART if dependent else 0.0)
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
-                if gap > self._contradiction * self._scale_of(limit):
-                    return self._write_ray(j, side, r)
-                self._set_aside(j, before if rounding else None)
+                if gap > self._contradiction * self._violation_scale(limit):
+                    # The ray that proves row j, dependent on the active ones, contradictory.
+                    lam[:] = 0.0
+                    lam[self._active], lam[j] = -r, side
+                    return Ending.INFEASIBLE
+                self._ignore_row(j, before if rounding else None)
                 return None
             t = min(t_primal, t_dual)
             lam[self._active] -= t * r
@@ -196,27 +197,28 @@ class DualActiveSet:
             self._x = self._x - t * d
             if t_primal <= t_dual:
                 self._active.append(j)
-                self._factor()
-                self._recompute()
+                self._factor_active_rows()
+                self._recompute_iterate()
                 return None
             lam[self._active.pop(blocking)] = 0.0
-            self._factor()
+            self._factor_active_rows()
         return Ending.ITERATION_LIMIT
 
-    def _factor(self) -> None:
+    def _factor_active_rows(self) -> None:
+        """Compute the QR factorisation of the active columns of J."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
-        """Return r and d with a = J_W r + d, d orthogonal to J_W; twice against rounding."""
+        """Split a into J_W r + d with d orthogonal to the active columns J_W; return r and d."""
         if not self._active:
             return np.empty(0), a
         c = self._Q.T @ a
         d = a - self._Q @ c
         again = self._Q.T @ d
-        return _triangular(self._R, c + again), d - self._Q @ again
+        return _solve_triangular(self._R, c + again), d - self._Q @ again
 
-    def _blocking_row(self, r: Vector, least: float) -> tuple[int, float]:
-        """Return position in W and step at which a multiplier reaches 0; (−1, inf) if r ≤ least."""
+    def _find_blocking_row(self, r: Vector, least: float) -> tuple[int, float]:
+        """Return position and step length of the first multiplier to reach zero along r."""
         if not self._active:
             return -1, np.inf
         lam = self._lam[self._active]
@@ -231,29 +233,23 @@ class DualActiveSet:
         ties = np.flatnonzero(steps == shortest)
         return int(min(ties, key=lambda k: self._active[k])), shortest
 
-    def _recompute(self) -> None:
-        """Recompute multipliers and point of the active set (eq. 31, 32), without old rounding."""
+    def _recompute_iterate(self) -> None:
+        """Recompute point and multipliers from the active set, free of accumulated rounding."""
         W = self._active
         g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
-        at_limits = _triangular(self._R.T, g, lower=True)
+        at_limits = _solve_triangular(self._R.T, g, lower=True)
         along = self._Q.T @ self._base
-        self._lam[W] = _triangular(self._R, along - at_limits)
+        self._lam[W] = _solve_triangular(self._R, along - at_limits)
         # Projected twice: x0 may be far longer than x, which is all of x0 that a vertex keeps.
         across = self._base - self._Q @ along
         self._x = across - self._Q @ (self._Q.T @ across - at_limits)
 
-    def _scale_of(self, limit: float) -> float:
+    def _violation_scale(self, limit: float) -> float:
+        """Return the size that a violation is relative to: |limit| plus the largest entry of x."""
         return abs(limit) + float(np.max(np.abs(self._x), initial=0.0))
 
-    def _write_ray(self, j: int, side: float, r: Vector) -> Ending:
-        """Write the ray that proves a violated row j, dependent on fixed rows, contradictory."""
-        self._lam[:] = 0.0
-        self._lam[self._active] = -r
-        self._lam[j] = side
-        return Ending.INFEASIBLE
-
-    def _set_aside(self, j: int, before: _State | None) -> None:
-        """Set row j aside: it is the active ones written twice, with rounding.
+    def _ignore_row(self, j: int, before: _State | None) -> None:
+        """Exclude row j from the search: it repeats active rows up to rounding.
 
         If it was violated by no more than rounding at first, the steps since have followed nothing
         else: they are undone to `before`.
@@ -266,14 +262,15 @@ class DualActiveSet:
             self._base = self._base - self._lam[j] * self._J[:, j]
 
 
-def _triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+    """Solve the triangular system R x = b."""
     x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
     return np.asarray(x, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The constant part of the QPs of one P and C: L (n, n), scaled J (n, N), scale (N,).
+    """Constant part of all QPs with the same P and rows C: L (n, n), scaled J (n, N), scale (N,).
 
     Columns of J have unit length: the method is independent of the units of z and of the rows.
     """
@@ -284,7 +281,7 @@ class Projection:
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> Projection:
-        """Factorise P (n, n) for rows C (N, n); LinAlgError if P is not positive definite."""
+        """Factorise P (n, n) and scale rows C (N, n); LinAlgError if P is not positive definite."""
         L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
         J = scipy.linalg.solve_triangular(L, C.T, lower=True)
         length = np.linalg.norm(J, axis=0)
@@ -301,7 +298,7 @@ class Projection:
         start: Vector | None = None,
         contradiction: float = CONTRADICTION,
     ) -> Outcome:
-        """Run the method; multipliers are those of the unscaled rows.
+        """Solve the QP with gradient q and row limits (N,); return active set and multipliers.
 
         start : (N,) signs of the rows to begin with, as in `DualActiveSet.run`.
         """

@@ -26,24 +26,24 @@ ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
 
 
 class Refresh(Flag):
-    """Parts of a problem that a step changes in a workspace."""
+    """Parts of a QP that a step changes in a solver's workspace: vectors, or also matrices."""
 
     VECTORS = auto()
     MATRICES = auto()
 
 
 def has_equal_blocks(n: int, m: int, block: int) -> bool:
-    """Return whether n variables and m rows split into moves of `block` variables alike."""
+    """Return whether n variables and m rows divide into equal moves of `block` variables."""
     return block == 0 or (n % block == 0 and m % (n // block) == 0)
 
 
 def rows_per_block(n: int, m: int, block: int) -> int:
-    """Return how many of m rows belong to each move of `block` of n variables; 0 for block 0."""
+    """Return the number of rows per move, for m rows and n variables in moves of `block`."""
     return m * block // n
 
 
 def check_shape(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floats:
-    """Return a contiguous float64 array; ShapeError naming where and name unless of `shape`."""
+    """Return `value` as a contiguous float64 array; ShapeError if its shape is not `shape`."""
     array = np.ascontiguousarray(value, dtype=np.float64)
     if array.shape != shape:
         raise ShapeError.of(where, name, array.shape, f"shape {shape}")
@@ -52,7 +52,7 @@ def check_shape(where: str, name: str, value: object, shape: tuple[int, ...]) ->
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """A convex QP in two-sided form; ShapeError if the shapes do not fit each other.
+    """Convex quadratic program (QP) with two-sided rows and bounds.
 
     Parameters
     ----------
@@ -105,15 +105,15 @@ class QuadraticProgram:
 
     @property
     def m(self) -> int:
-        """Number of rows."""
+        """Number of constraint rows, without bounds."""
         return int(self.A.shape[0])
 
     def limits(self) -> tuple[Vector, Vector]:
-        """Return [l; lb] and [u; ub], the limits of the rows of [A; I]: (m + n,) each."""
+        """Return lower and upper limits (m + n,) of rows and bounds together."""
         return np.concatenate((self.l, self.lb)), np.concatenate((self.u, self.ub))
 
     def objective(self, z: Vector) -> float:
-        """Return ½ zᵀPz + qᵀz."""
+        """Return the objective value ½ zᵀPz + qᵀz at z."""
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
     def copy(self) -> QuadraticProgram:
@@ -121,7 +121,7 @@ class QuadraticProgram:
         return replace(self, **{name: getattr(self, name).copy() for name in ARRAYS})
 
     def changed_by(self, step: QPStep) -> bool:
-        """Return whether a step brings other matrices than those of this problem."""
+        """Return whether a step brings matrices or bounds that differ from this problem's."""
         if step.P is step.A is step.lb is step.ub is None:
             return False
         pairs = [(getattr(step, name), getattr(self, name)) for name in CONSTANT]
@@ -131,14 +131,14 @@ class QuadraticProgram:
         )
 
     def at(self, step: QPStep) -> QuadraticProgram:
-        """Return the problem after `step`: its vectors, and its matrices where it brings any."""
+        """Return the problem with a step's vectors, and its matrices where the step brings any."""
         parts = {name: getattr(step, name) for name in ARRAYS}
         return replace(self, **{name: part for name, part in parts.items() if part is not None})
 
 
 @dataclass(slots=True, eq=False)
 class QPStep:
-    """Data that change from one step to the next; P, A, lb, ub are None unless they changed."""
+    """Data of a QP that change from one step to the next."""
 
     q: Vector
     l: Vector  # noqa: E741 - l ≤ Az ≤ u, the name of the field
@@ -150,7 +150,7 @@ class QPStep:
 
     @property
     def refresh(self) -> Refresh:
-        """`VECTORS`, or `VECTORS | MATRICES` when P, A, lb or ub changed."""
+        """Parts that this step changes: vectors alone, or matrices and bounds too."""
         if self.P is self.A is self.lb is self.ub is None:
             return Refresh.VECTORS
         return Refresh.VECTORS | Refresh.MATRICES
@@ -163,7 +163,7 @@ class QPStep:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Diagonal change of units between a problem as solved and its scaled form.
+    """Diagonal scaling between a problem in its own units and its scaled form.
 
     z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is equal in both, so
     y_scaled = row * y_own and y_box_scaled = z * y_box_own.
@@ -175,7 +175,7 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class QPSequence:
-    """QPs recorded along one run.
+    """Sequence of QPs recorded along one run, with constant or varying matrices.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ class QPSequence:
         return int(self.q.shape[0])
 
     def step(self, k: int) -> QPStep:
-        """Return a copy of step k."""
+        """Return a copy of the data of step k."""
         step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
         for name in CONSTANT:
             if (array := getattr(self, name)) is not None:
@@ -225,12 +225,12 @@ class QPSequence:
         return step
 
     def problem(self, k: int) -> QuadraticProgram:
-        """Return the whole problem of step k."""
+        """Return the complete QP of step k."""
         return self.base.at(self.step(k))
 
 
 def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
-    """Convert a scaled sequence, which is kept as the scaled form of the result.
+    """Convert a scaled QP sequence to other units; the scaled one stays attached to it.
 
         P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
 
@@ -257,7 +257,7 @@ def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
 
 @dataclass(frozen=True, eq=False)
 class SparseEquivalent:
-    """A sequence in sparse form; `condensed` maps its solutions to the condensed problem."""
+    """Sparse form of a condensed QP sequence, and the map of its solutions back."""
 
     sequence: QPSequence
     condensed: Callable[[Solution], Solution]

@@ -12,9 +12,8 @@ LARGEST = (120, 300)  # Most variables and rows; with more, sums would be rounde
 
 @dataclass(frozen=True)
 class Family:
-    """Properties that make a family of problems hard.
+    """Family of random QPs, defined by the properties that make them hard.
 
-    shows : description.
     cond : condition of P where a recipe names none; semidefinite : P has less than full rank.
     touching : rows and bounds met with a zero multiplier, as a share of n.
     twins : share of rows that are written twice; equal, free, one_sided : shares of rows.
@@ -56,7 +55,7 @@ FAMILIES: dict[str, Family] = {
 
 @dataclass(frozen=True)
 class RandomRecipe:
-    """All data that a random sequence is made from; InputError naming a field that is not allowed.
+    """Parameters from which a random QP sequence is generated.
 
     family : a name of `FAMILIES`.
     n, m : variables and rows, at most `LARGEST`; seed : of everything random.
@@ -74,34 +73,32 @@ class RandomRecipe:
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
-            raise _refused("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
+            raise _recipe_error("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
         if not 2 <= self.n <= LARGEST[0]:
-            raise _refused("n", self.n, f"2 to {LARGEST[0]}")
-        least = self._least_rows
+            raise _recipe_error("n", self.n, f"2 to {LARGEST[0]}")
+        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
+        least = rows.get(self.family, 2)
         most = LARGEST[1] if self.family != "no_rows" else 0
         if not least <= self.m <= most:
-            raise _refused("m", self.m, f"{least} to {most} for {self.family} with n = {self.n}")
+            allowed = f"{least} to {most} for {self.family} with n = {self.n}"
+            raise _recipe_error("m", self.m, allowed)
         if self.seed < 0 or self.steps < 1:
-            raise _refused("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
+            raise _recipe_error("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
         if self.block < 0 or not has_equal_blocks(self.n, self.m, self.block):
             allowed = f"0, or a divisor of n={self.n} into moves that share m={self.m} rows alike"
-            raise _refused("block", self.block, allowed)
+            raise _recipe_error("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
-            raise _refused("cond", self.cond, "1 to 1e8, or 0 for that of the family")
-
-    @property
-    def _least_rows(self) -> int:
-        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
-        return rows.get(self.family, 2)
+            raise _recipe_error("cond", self.cond, "1 to 1e8, or 0 for that of the family")
 
     @property
     def name(self) -> str:
-        """A name that tells recipes apart, e.g. `plain-n12-m30-s1`."""
+        """Unique name of the recipe, e.g. `plain-n12-m30-s1`."""
         usual = {"steps": 24, "block": 0, "cond": 0.0}
         values = {key: getattr(self, key) for key in usual}
         extra = "".join(f"-{key}{value:g}" for key, value in values.items() if value != usual[key])
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
 
 
-def _refused(key: str, found: object, allowed: str) -> InputError:
+def _recipe_error(key: str, found: object, allowed: str) -> InputError:
+    """Return the InputError for a parameter that a recipe does not allow."""
     return InputError("random recipe", key, found, allowed)

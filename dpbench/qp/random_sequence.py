@@ -31,26 +31,26 @@ FACTOR = 2.0**-7  # Grid of the factor of a semidefinite P
 
 
 def round_to_grid(x: Vector, unit: float) -> Vector:
-    """Round to the nearest multiples of a power of two."""
+    """Round numbers to the nearest multiples of `unit`, a power of two."""
     return np.rint(x / unit) * unit
 
 
-def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
-    """Draw a positive definite P (n, n) with eigenvalues from cond^−½ to cond^½."""
+def draw_definite(rng: np.random.Generator, n: int, cond: float) -> Matrix:
+    """Draw a random positive definite P (n, n) with condition number `cond`."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
     unit = 2.0 ** (math.ceil(0.5 * math.log2(cond)) - COST_BITS)
     return round_to_grid(0.5 * (P + P.T), unit)
 
 
-def semidefinite_cost(rng: np.random.Generator, n: int, rank: int) -> Matrix:
-    """Draw a positive semidefinite P (n, n) of that rank, exactly."""
+def draw_semidefinite(rng: np.random.Generator, n: int, rank: int) -> Matrix:
+    """Draw a random positive semidefinite P (n, n) of exactly the given rank."""
     B = round_to_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
 
-def unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
-    """Draw rows (m, n) of unit norm; every second one with three entries in four left out."""
+def draw_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
+    """Draw random constraint rows (m, n) of unit norm, every second one sparse."""
     A = rng.normal(size=(m, n))
     sparse = rng.random((m, n)) < 0.75
     sparse[::2] = False
@@ -64,8 +64,8 @@ JUMPS = 2  # of the signals
 
 
 @dataclass(frozen=True, eq=False)
-class Planted:
-    """A sequence with its planted optima.
+class PlantedSequence:
+    """Random QP sequence together with its known optima, chosen before the QPs were built.
 
     feasible (K,); z (K, n) optimum, NaN where infeasible; y (K, m), y_box (K, n) its multipliers,
     or the Farkas vector of an infeasible step.
@@ -79,16 +79,16 @@ class Planted:
 
 
 def random_sequence(recipe: RandomRecipe) -> QPSequence:
-    """Make the sequence of a recipe; the same recipe gives the same bits."""
+    """Generate the random QP sequence of a recipe, identical to the bit each time."""
     return plant_sequence(recipe).sequence
 
 
-def plant_sequence(recipe: RandomRecipe) -> Planted:
-    """Make the sequence of a recipe with its optima; the same recipe gives the same bits."""
+def plant_sequence(recipe: RandomRecipe) -> PlantedSequence:
+    """Generate the random QP sequence of a recipe together with its known optima."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
     rng = np.random.default_rng(seed)
-    frame = _make_frame(recipe, family, rng)
+    frame = _draw_frame(recipe, family, rng)
     signals = _draw_signals(rng, recipe.steps, recipe.m + recipe.n)
     share = 0.4 + 0.2 * np.sin(2.0 * np.pi * (np.arange(recipe.steps) / 12.0 + rng.random()))
     steps = []
@@ -103,12 +103,12 @@ def plant_sequence(recipe: RandomRecipe) -> Planted:
     base = QuadraticProgram(frame.P, first.q, frame.A, *limits, recipe.block)
     q, l, u, z, y, y_box = (np.array(part) for part in zip(*steps, strict=True))  # noqa: E741
     sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
-    return Planted(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
+    return PlantedSequence(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    """Constant parts of a sequence; masks and `twin` run over the rows of [A; I].
+class _ConstantParts:
+    """Parts of a random QP sequence that are constant over its steps.
 
     lo, hi (n,) : where bounds are, or would be; half (m,) : half the width of a row.
     above, below (m+n,) : whether there is an upper and a lower limit. equal (m+n,) : l = u.
@@ -128,15 +128,17 @@ class _Frame:
 
     @property
     def lb(self) -> Vector:
+        """Lower bounds (n,) of the variables, −inf where there is none."""
         return np.where(self.below[len(self.half) :], self.lo, -np.inf)
 
     @property
     def ub(self) -> Vector:
+        """Upper bounds (n,) of the variables, inf where there is none."""
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
 
-class _Step(NamedTuple):
-    """One step with its optimum, or its Farkas vector beside z = NaN."""
+class _PlantedStep(NamedTuple):
+    """One random QP step with its known optimum, or its Farkas vector where infeasible."""
 
     q: Vector
     l: Vector  # noqa: E741 - as in QuadraticProgram
@@ -146,11 +148,12 @@ class _Step(NamedTuple):
     y_box: Vector
 
 
-def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _ConstantParts:
+    """Draw the constant matrices, bounds and kinds of rows of a random QP sequence."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
-    P = semidefinite_cost(rng, n, rank) if family.semidefinite else definite_cost(rng, n, cond)
-    A = unit_rows(rng, m, n)
+    P = draw_semidefinite(rng, n, rank) if family.semidefinite else draw_definite(rng, n, cond)
+    A = draw_unit_rows(rng, m, n)
     twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
     for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
         i, j = 2 * pair, 2 * pair + 1
@@ -169,11 +172,11 @@ def _make_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
     lo, hi, half = (round_to_grid(rng.uniform(*interval), POINT) for interval in ends)
     above = np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi))
     below = np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo))
-    return _Frame(P, A, -lo, hi, half, above, below, equal, twin, sign)
+    return _ConstantParts(P, A, -lo, hi, half, above, below, equal, twin, sign)
 
 
 def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
-    """Draw smooth paths (K, N) of size 0.5 to 2 with `JUMPS` common jumps."""
+    """Draw K steps of N smooth random signals of size 0.5 to 2, with common jumps."""
     size, speed = rng.uniform(0.5, 2.0, N), rng.uniform(0.2, 1.0, N)
     jumps = np.sort(rng.integers(1, max(2, K), JUMPS))
     phase = rng.random((JUMPS + 1, N))[np.searchsorted(jumps, np.arange(K), side="right")]
@@ -181,10 +184,10 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
     return size * np.sin(2.0 * np.pi * turns)
 
 
-def _choose_limits(
-    frame: _Frame, family: Family, s: Vector, count: int
+def _choose_active_limits(
+    frame: _ConstantParts, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
-    """Choose limits to meet: side (N,) in {−1, 0, 1}, multipliers (N,), mask of near misses (N,).
+    """Choose which limits the optimum of a step meets, with which multipliers.
 
     The `count` strongest signals carry a multiplier, the next ones touch without one.
     """
@@ -210,10 +213,10 @@ def _choose_limits(
     return met, y, near
 
 
-def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
-    """Return one step from its signals s (m+n,); `count` limits carry a multiplier."""
+def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) -> _PlantedStep:
+    """Build one QP step around a chosen optimum, from its signals s (m + n,)."""
     m = len(frame.half)
-    met, y, near = _choose_limits(frame, family, s, count)
+    met, y, near = _choose_active_limits(frame, family, s, count)
     wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)
     middle, half = 0.5 * (frame.hi + frame.lo), 0.5 * (frame.hi - frame.lo)
     z = round_to_grid(middle + half * wave[m:], POINT)
@@ -230,11 +233,11 @@ def _plant_step(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
     )
     q = -(frame.P @ z + y[:m] @ frame.A + y[m:])
     limits = np.where(frame.below[:m], l, -np.inf), np.where(frame.above[:m], u, np.inf)
-    return _Step(q, *limits, z, y[:m], y[m:])
+    return _PlantedStep(q, *limits, z, y[:m], y[m:])
 
 
-def _make_infeasible(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
-    """Return the step made infeasible, with the Farkas vector that proves it.
+def _make_infeasible(frame: _ConstantParts, step: _PlantedStep, row: int, k: int) -> _PlantedStep:
+    """Return the step made infeasible, with a Farkas vector that proves it.
 
     In turn: a row demands more than the bounds allow, or than its copy does.
     """
@@ -253,4 +256,4 @@ def _make_infeasible(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
         u[copy] = l[copy] + frame.half[copy]
         y[row], y[copy] = 1.0, -1.0
         y_box = np.zeros(len(step.z))
-    return _Step(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)
+    return _PlantedStep(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)

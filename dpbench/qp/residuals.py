@@ -28,7 +28,7 @@ Number = TypeVar("Number", float, Vector)
 
 @dataclass(frozen=True, slots=True)
 class Residuals(Generic[Number]):
-    """Residuals of the optimality conditions in the units of the QP; (K,) each of K answers."""
+    """Residuals of the optimality (KKT) conditions of one answer, or of K answers (K,)."""
 
     primal: Number
     dual: Number
@@ -37,7 +37,7 @@ class Residuals(Generic[Number]):
 
 
 def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
-    """Compute the residuals of `solution`, whatever its status.
+    """Compute the KKT residuals of a solution, whatever its status.
 
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
@@ -58,7 +58,7 @@ def compute_residuals_of_many(
     y: Matrix,
     y_box: Matrix,
 ) -> Residuals[Vector]:
-    """Compute the residuals of K answers z, y_box (K, n), y (K, m) to K QPs.
+    """Compute the KKT residuals of K answers to K QPs with the same matrices.
 
     The QPs have the matrices and bounds of `qp`, and q (K, n), l, u (K, m) of their own. Sums are
     made without BLAS, so that no answer's last bits depend on the number of others.
@@ -86,17 +86,17 @@ def compute_residuals_of_many(
         no_point = ~(np.abs(z.sum(axis=1)) < inf)
         nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
     return Residuals(
-        _mark_lost(primal, no_point), *(_mark_lost(number, nothing) for number in of_multipliers)
+        _make_inf(primal, no_point), *(_make_inf(number, nothing) for number in of_multipliers)
     )
 
 
-def _mark_lost(numbers: Vector, lost: Flags) -> Vector:
-    """Replace NaN, and everything where `lost`, by inf."""
+def _make_inf(numbers: Vector, lost: Flags) -> Vector:
+    """Replace NaN, and every value where `lost` is set, by inf."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
 def fit_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
-    """Find the multipliers y (m,), y_box (n,) that explain `z` best, for answers without any.
+    """Compute multipliers y (m,) and y_box (n,) by non-negative least squares from z alone.
 
     Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within tol·(1 +
     |limit|); a row that meets both of its limits may have either sign. Multipliers are zero on
@@ -129,7 +129,7 @@ PLAN_TOL_FACTOR = 10.0  # allowed distance of a plan to the optimum, in toleranc
 def is_true(
     qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
-    """Return whether an answer is correct, whatever its solver claims.
+    """Return whether an answer is correct by its residuals and its distance to the optimum.
 
     primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; not for NaN.
     """
@@ -139,7 +139,7 @@ def is_true(
 
 
 def are_true(q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float) -> Flags:
-    """Apply `is_true` to K answers to QPs of q (K, n): (K,)."""
+    """Return for K answers to QPs of gradients q (K, n) whether each is correct: (K,)."""
     true: Flags = (
         (residuals.primal <= tol)
         & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))

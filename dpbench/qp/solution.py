@@ -17,7 +17,7 @@ from dpbench.arrays import Vector
 
 
 class Status(IntEnum):
-    """Claims of a solver; `sentence` names the likely cause."""
+    """Status that a solver claims for its answer, in terms common to all solvers."""
 
     SOLVED = 0
     INACCURATE = 1
@@ -31,12 +31,12 @@ class Status(IntEnum):
 
     @property
     def sentence(self) -> str:
-        """A sentence for a reader of the report."""
+        """Explanation of the status for the report, with the likely cause."""
         return _SENTENCES[self]
 
     @property
     def is_usable(self) -> bool:
-        """Return whether a finite iterate under this status is applied to the ship.
+        """Return whether an answer with this status is applied to the ship, if it is finite.
 
         Infeasible, error and time-limit claims come with no plan worth following; an inaccurate or
         unfinished iterate is applied and marked.
@@ -45,12 +45,12 @@ class Status(IntEnum):
 
     @property
     def is_unfinished(self) -> bool:
-        """Return whether a usable iterate under this status is applied and marked."""
+        """Return whether an answer with this status is applied, but marked as not optimal."""
         return self in _UNFINISHED
 
     @property
     def denies_optimum(self) -> bool:
-        """Return whether it claims that there is no optimum."""
+        """Return whether the status claims that no optimum exists: infeasible or unbounded."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
@@ -73,7 +73,7 @@ _USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 @dataclass(slots=True, eq=False)
 class Solution:
-    """The answer to one QP; arrays are the solution's own memory and NaN where there is none.
+    """Answer of a solver to one QP: status, primal point, multipliers and counters.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ class Solution:
 
     @classmethod
     def missing(cls, n: int, m: int, status: Status, detail: str = "") -> Solution:
-        """Return an answer of NaN-filled arrays."""
+        """Return an answer without a point: all arrays are NaN."""
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), detail=detail)
 
     def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
-        """Return the same claim, count, time and detail with other arrays, not copied."""
+        """Return a copy with other arrays z, y and y_box, and the same status and counters."""
         return replace(self, z=z, y=y, y_box=y_box)
 
     @property
@@ -110,7 +110,7 @@ class Solution:
 
     @property
     def identity(self) -> bytes:
-        """The claim and the bits of all numbers: equal for answers that are judged alike."""
+        """Status and array bits as bytes, equal for answers that are judged alike."""
         numbers = (self.z, self.y, self.y_box)
         return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)
 
@@ -121,7 +121,7 @@ _LARGEST = int(np.iinfo(np.int64).max)
 
 
 def is_plain(answer: Any, n: int, m: int) -> bool:
-    """Return whether an answer is a valid `Solution` of exactly the expected types.
+    """Return whether an answer is a `Solution` of exactly the expected types and shapes.
 
     Reading such an answer later runs no code of a solver.
     """
@@ -143,10 +143,9 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
 
 
 def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
-    """Return a plain copy of `answer`, so that nothing of it is computed later.
+    """Return a copy of a solver's answer with checked types, or status ERROR if malformed.
 
-    answer : what a solver gave; n, m : variables and rows of its QP.
-    A plain `Solution`; of a malformed answer one with the status ERROR and the fault in `detail`.
+    n, m : variables and rows of its QP; the fault of a malformed answer is in `detail`.
     """
     try:
         return _copy_answer(answer, n, m)
@@ -155,10 +154,11 @@ def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
 
 
 class _MalformedError(Exception):
-    """A part of an answer that the contract does not allow."""
+    """Error for a part of a solver's answer of the wrong type or shape."""
 
 
 def _copy_answer(answer: Any, n: int, m: int) -> Solution:
+    """Return a checked copy of a solver's answer; _MalformedError for a wrong type or shape."""
     if not isinstance(answer, Solution):
         raise _MalformedError(f"{_describe_type(answer)} in place of a Solution")
     status: Any = answer.status
@@ -175,7 +175,7 @@ def _copy_answer(answer: Any, n: int, m: int) -> Solution:
 
 
 def _copy_array(name: str, value: Any, size: int) -> Vector:
-    """Return a float64 array as it is in memory; nothing is converted."""
+    """Return a copy of a float64 array of the given size; _MalformedError for anything else."""
     if not isinstance(value, np.ndarray):
         raise _MalformedError(f"{name} is {_describe_type(value)}, not an array")
     # The numbers in memory, without any code of a subclass.
@@ -187,6 +187,7 @@ def _copy_array(name: str, value: Any, size: int) -> Vector:
 
 
 def _read_integer(name: str, value: Any) -> int:
+    """Return a counter as an int; _MalformedError if it is no integer of 64 bits."""
     try:
         number = operator.index(value)
     except TypeError as error:
@@ -197,4 +198,5 @@ def _read_integer(name: str, value: Any) -> int:
 
 
 def _describe_type(value: Any) -> str:
+    """Return the type of a value in words, for an error message."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -14,7 +14,7 @@ from dpbench.qp.solution import Solution
 
 
 def stack(qp: QuadraticProgram) -> QuadraticProgram:
-    """Stack into 2m + 2n one-sided rows (eq. 25); block is 0, as rows of a move are apart."""
+    """Convert a QP with two-sided rows and bounds to 2m + 2n one-sided rows M z ≤ γ."""
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
     gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
@@ -24,7 +24,7 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """Stack a step after the problem `stacked`, whose box part of γ stays.
+    """Convert the data of a two-sided step to those of the one-sided QP `stacked`.
 
     A step with matrices brings P and A of the two-sided form, from which M is built.
     """
@@ -46,7 +46,7 @@ def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
 
 
 def unstack(solution: Solution, m: int) -> Solution:
-    """Return the solution of the two-sided problem with m rows, from that of the stacked one."""
+    """Convert a solution of the one-sided QP back to one of the two-sided QP with m rows."""
     n = solution.z.shape[0]
     lam = solution.y
     y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]

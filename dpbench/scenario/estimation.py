@@ -20,7 +20,7 @@ CALM_STD = np.array([0.05, 0.05, np.radians(0.05)])
 
 @dataclass(frozen=True, eq=False)
 class EstimatorChoice:
-    """The estimator of a scenario before there is a ship.
+    """Estimator settings of a scenario, before the ship is known.
 
     waves, sensor_std : assumed wave motion, None where nothing is estimated, and noise (3,).
     """
@@ -31,8 +31,8 @@ class EstimatorChoice:
     sensor_std: Vector
     where: str
 
-    def make(self, ship: Vessel, sample_s: float) -> Estimator:
-        """Make an estimator with the model of a ship."""
+    def build_estimator(self, ship: Vessel, sample_s: float) -> Estimator:
+        """Build the estimator for a ship and sample time."""
         if self.waves is None:
             return MeasuredState()
         if self.kind == "kalman":
@@ -45,7 +45,7 @@ class EstimatorChoice:
 
 
 def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
-    """Return the estimator of a file; InputError for a filter without the period of waves."""
+    """Return the estimator settings of a scenario file, scaled to the ship."""
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
     sensor = SENSOR_STD * scale.pose
     if sea.noise is not None:
@@ -54,11 +54,12 @@ def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> Estimator
     if table.kind != "measured":
         floor = CALM_STD * scale.pose
         std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
-        waves = WaveModel.of_sea(_peak_period(table, spec, place) * scale.time, std)
+        waves = WaveModel.of_sea(_assumed_peak_period_s(table, spec, place) * scale.time, std)
     return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
 
 
-def _peak_period(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+def _assumed_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+    """Return the wave period [s] for the estimator; InputError where none is known."""
     if table.peak_period_s is not None:
         return table.peak_period_s
     if spec.environment.waves is None:

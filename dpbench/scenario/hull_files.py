@@ -45,7 +45,7 @@ COUPLINGS = ("M26", "D26", "D62")
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """Inertia and damping M, D (3, 3) [SI] of a file, and those of `PARTICULARS` that it has."""
+    """Inertia M and damping D (3, 3) [SI] read from a hull file, with main dimensions."""
 
     M: Matrix
     D: Matrix
@@ -55,12 +55,15 @@ class Hull:
 
 
 def read_mss(path: Path) -> Hull:
-    """Read the hull of a vessel structure of the MSS toolbox; InputError for one that is unfit."""
-    vessel = _structure(path)
-    rigid = _field(vessel, path, "MRB")
-    omega = np.atleast_1d(_field(vessel, path, "freqs")).ravel()
-    added, potential = (_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
-    viscous = _viscous(vessel, path, omega)
+    """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
+    names, vessel = read_structure(path, "vessel")
+    if not vessel:
+        found = ", ".join(names)[:200] or "nothing"
+        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
+    rigid = _read_field(vessel, path, "MRB")
+    omega = np.atleast_1d(_read_field(vessel, path, "freqs")).ravel()
+    added, potential = (_read_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
+    viscous = _read_viscous_damping(vessel, path, omega)
     if rigid.shape != (6, 6):
         raise InputError(str(path), "vessel.MRB", f"shape {rigid.shape}", "shape (6, 6)")
     lowest, *others = np.argsort(omega)
@@ -78,18 +81,11 @@ def read_mss(path: Path) -> Hull:
                 f"sway, yaw is {texts} times that at {first}: strip theory may be weak there."
             )
     method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
-    return Hull(M, D, _main(vessel), method, remarks)
+    return Hull(M, D, _read_dimensions(vessel), method, remarks)
 
 
-def _structure(path: Path) -> _Fields:
-    names, fields = read_structure(path, "vessel")
-    if not fields:
-        found = ", ".join(names)[:200] or "nothing"
-        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
-    return fields
-
-
-def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
+def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
+    """Return a field as finite floats; InputError if it is missing or not numeric."""
     array = vessel.get(f"vessel.{key}", _NOTHING)
     if not array.size:
         found = "no numbers" if f"vessel.{key}" in vessel else "nothing"
@@ -100,9 +96,9 @@ def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
     return array
 
 
-def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
-    """Return a field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
-    array = _field(vessel, path, key)
+def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
+    """Return a frequency-dependent field as matrices (frequencies, 6, 6), at the first speed."""
+    array = _read_field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
     array = array[:, :, np.newaxis] if array.ndim == 2 else array
     array = array[..., 0] if array.ndim == 4 else array
@@ -112,18 +108,18 @@ def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matri
     return np.moveaxis(array, -1, 0)
 
 
-def _viscous(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
-    """Return Bv at each frequency, from one matrix or several; InputError where there is none."""
+def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
+    """Return the viscous damping (frequencies, 6, 6); InputError where the file has none."""
     if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
-    if _field(vessel, path, "Bv").ndim == 2:
-        return np.broadcast_to(_field(vessel, path, "Bv"), (omega.size, 6, 6))
-    return _by_frequency(vessel, path, "Bv", omega)
+    if _read_field(vessel, path, "Bv").ndim == 2:
+        return np.broadcast_to(_read_field(vessel, path, "Bv"), (omega.size, 6, 6))
+    return _read_by_frequency(vessel, path, "Bv", omega)
 
 
-def _main(vessel: _Fields) -> dict[str, float]:
-    """Return those particulars of `vessel.main` that are numbers above zero."""
+def _read_dimensions(vessel: _Fields) -> dict[str, float]:
+    """Return length, breadth, draught and displacement where the file gives them above zero."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
     numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}
@@ -134,9 +130,9 @@ def _main(vessel: _Fields) -> dict[str, float]:
     }
 
 
-def read_table(path: Path) -> Hull:
-    """Read the hull of a table of coefficients; InputError for one that is unfit."""
-    values = _values(path)
+def read_coefficient_table(path: Path) -> Hull:
+    """Read a hull from a CSV table of inertia and damping coefficients."""
+    values = _read_coefficients(path)
     for name in REQUIRED:
         if name not in values:
             needed = f"a row of each of {', '.join(REQUIRED)}"
@@ -150,7 +146,8 @@ def read_table(path: Path) -> Hull:
     return Hull(np.array(M, dtype=float), np.array(D, dtype=float), particulars, method)
 
 
-def _values(path: Path) -> dict[str, float]:
+def _read_coefficients(path: Path) -> dict[str, float]:
+    """Read the named coefficients of a CSV table; InputError for a bad row."""
     what = "a readable CSV file in UTF-8"
     content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
     try:
@@ -170,12 +167,12 @@ def _values(path: Path) -> dict[str, float]:
             raise InputError(
                 str(path), repr(name)[:80], found, f"each once, {list_allowed(name, known)}"
             )
-        values[name] = _number(path, name, rest[0] if rest else "")
+        values[name] = _parse_coefficient(path, name, rest[0] if rest else "")
     return values
 
 
-def _number(path: Path, name: str, text: str) -> float:
-    """Parse a finite number; all but couplings are above zero."""
+def _parse_coefficient(path: Path, name: str, text: str) -> float:
+    """Parse a finite number, above zero unless it is a coupling; InputError otherwise."""
     try:
         value = float(text)
     except ValueError:

@@ -27,7 +27,7 @@ from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
 
 @dataclass(frozen=True)
 class Particulars:
-    """Length between perpendiculars, breadth, draught [m], displacement [kg]."""
+    """Main dimensions of the user's ship: length, breadth, draught [m], displacement [kg]."""
 
     length_m: float
     breadth_m: float
@@ -36,14 +36,14 @@ class Particulars:
 
     @property
     def block_coefficient(self) -> float:
-        """C_B = ∇/(L B T) in sea water."""
+        """Block coefficient C_B = ∇/(L B T) in sea water."""
         block_m3 = self.length_m * self.breadth_m * self.draught_m
         return self.displacement_kg / WATER_DENSITY / block_m3
 
 
 @dataclass(frozen=True)
 class LibraryShip:
-    """Size and mass that the matrices of a library vessel belong to; m, m, kg."""
+    """Length, breadth [m] and mass [kg] of the ship that a library vessel's matrices describe."""
 
     length_m: float
     breadth_m: float
@@ -78,8 +78,8 @@ SPARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Thrust:
-    """Largest force ahead, sideways and in yaw [N, N, N·m]; None for the library vessel's share."""
+class ThrustLimits:
+    """Largest force of the user's ship ahead, sideways and in yaw [N, N, N·m]."""
 
     ahead_N: float
     sway_N: float | None = None
@@ -87,7 +87,7 @@ class Thrust:
 
 
 def nearest_ship(own: Particulars) -> str:
-    """Return the library vessel nearest in the logarithms of length, breadth and ∇^⅓."""
+    """Return the library vessel most similar in length, breadth and displacement."""
 
     def distance(name: str) -> float:
         ship = LIBRARY[name]
@@ -102,7 +102,7 @@ def nearest_ship(own: Particulars) -> str:
 
 
 def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
-    """Return M and D (3, 3) [SI] of a ship of that length and mass, of a library vessel's form."""
+    """Return inertia and damping (3, 3) [SI] of a library vessel scaled to a length and mass."""
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer = length_m / ship.length_m
     N = np.diag([1.0, 1.0, longer])
@@ -111,8 +111,8 @@ def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, 
     return M, D
 
 
-def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own") -> Vessel:
-    """Scale the library vessel `like` to the size of `own`, with its limits made of `thrust`.
+def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = "own") -> Vessel:
+    """Scale a library vessel to the dimensions and thrust of the user's ship.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its
     share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in
@@ -147,7 +147,7 @@ def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own")
 
 
 def regression_added_mass(own: Particulars) -> Vector:
-    """Return the added mass of surge, sway and yaw by regressions: (3,) [kg, kg, kg·m²].
+    """Return the added mass (3,) [kg, kg, kg·m²] in surge, sway, yaw by published regressions.
 
     Surge: 2.7 ρ ∇^(5/3)/L² (Söding 1982). Sway and yaw, over ½ρL³ and ½ρL⁵ (Clarke, Gedling &
     Hine 1983; MSS has them as `addedMassSurge.m` and `clarke83.m`):
@@ -168,24 +168,24 @@ def regression_added_mass(own: Particulars) -> Vector:
     )
 
 
-def rigid_body(own: Particulars) -> Vector:
-    """Return mass, mass and moment of inertia m (L/4)², the usual radius of a ship: (3,)."""
+def rigid_body_inertia(own: Particulars) -> Vector:
+    """Return the rigid-body inertia (3,) [kg, kg, kg·m²] in surge, sway and yaw."""
     m = own.displacement_kg
     return np.array([m, m, m * (0.25 * own.length_m) ** 2])
 
 
 def thrust_to_weight(own: Particulars, force_N: float) -> float:
-    """Return a force over the ship's weight."""
+    """Return the ratio of a force to the ship's weight."""
     return force_N / (own.displacement_kg * GRAVITY)
 
 
 def froude_time(length_m: float) -> float:
-    """Return the ratio of all times to those of the paper's ship: √(L/L_paper)."""
+    """Return the ratio of this ship's time scale to that of the paper's ship: √(L/L_paper)."""
     return math.sqrt(length_m / LIBRARY[PAPER_SHIP].length_m)
 
 
 def sea_state(number: int) -> EnvironmentTable:
-    """Return wind, waves and current of a DP number from `FROM_DEG`, at full size."""
+    """Return the environment table (wind, waves, current) of a DP number at full size."""
     wind_mps, hs_m, tp_s, current_mps = DP_NUMBERS[number]
     return EnvironmentTable(
         ramp_s=RAMP_S,
@@ -199,13 +199,13 @@ def sea_state(number: int) -> EnvironmentTable:
 
 
 def load_share(vessel: Vessel, number: int) -> float:
-    """Return the mean force of that sea over the limits, in the axis where it is largest."""
-    load = mean_load(vessel, sea_state(number).environment(Froude()))
+    """Return the largest ratio of mean weather force to force limit over the axes."""
+    load = mean_load(vessel, sea_state(number).build_environment(Froude()))
     # What pushes astern is met with force ahead.
     limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     return float(np.max(np.abs(load) / limit))
 
 
 def largest_sea(vessel: Vessel) -> int:
-    """Return the largest DP number whose mean force takes at most `SPARE`; 1 if none does."""
+    """Return the largest DP number whose mean force leaves half of the limits; 1 if none does."""
     return max((n for n in DP_NUMBERS if load_share(vessel, n) <= SPARE), default=1)

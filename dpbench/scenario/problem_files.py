@@ -32,21 +32,21 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 class VesselDocuments(TypedDict, total=False):
-    """A vessel's file as plain values, and its name."""
+    """Contents of a vessel file as plain values, and the vessel's name."""
 
     vessel_name: str
     vessel: dict[str, Any]
 
 
 class ScenarioDocuments(VesselDocuments, total=False):
-    """The files of a scenario and of its vessel as plain values, and their names."""
+    """Contents of a scenario file and its vessel file as plain values, with their names."""
 
     name: str
     scenario: dict[str, Any]
 
 
 class FileModel(BaseModel):
-    """Base of everything read from TOML: unknown keys and loose types are refused."""
+    """Base model of all TOML files: unknown keys and loosely typed values are refused."""
 
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
@@ -58,7 +58,8 @@ class FileModel(BaseModel):
     """Newer keys, not written at their default: older documents stay equal byte for byte."""
 
     @model_serializer(mode="wrap")
-    def _write_without_later(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+    def _omit_default_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Return the table without newer keys that have their default value."""
         table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
@@ -70,19 +71,19 @@ class FileModel(BaseModel):
 
 
 def problems_root() -> Path:
-    """Return the folder of the shipped problems, in an installed wheel or beside the package."""
+    """Return the folder of the vessels, scenarios, suites and sequences that dpbench ships."""
     installed = _PACKAGE / "problems"
     return installed if installed.is_dir() else _PACKAGE.parent / "problems"
 
 
 def problem_names(kind: str) -> list[str]:
-    """List the names of the shipped vessels, scenarios, suites or sequences."""
+    """Return the names of the shipped vessels, scenarios, suites or sequences."""
     suffix = ".npz" if kind == SEQUENCES else ".toml"
     return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
 
 
 def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
-    """Find the file of a name or path; a relative path is looked for in `beside` first.
+    """Return the path of a vessel, scenario or suite given by name or by path.
 
     Raises UnknownNameError, with the nearest names, for a name, and InputError for a path.
     """
@@ -104,7 +105,7 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
 
 
 def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """Find the file of a stored sequence by name, else the path, which may not exist.
+    """Return the path of a sequence given by name or by path, which may not exist.
 
     Raises UnknownNameError for a name that is neither a stored sequence nor a folder.
     """
@@ -121,19 +122,19 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
 
 def is_stored(name: str | Path) -> bool:
-    """Return whether a sequence of this name ships with the package."""
+    """Return whether a sequence of this name is shipped with dpbench."""
     return str(name) in problem_names(SEQUENCES)
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """Make the error of an unknown name; `otherwise` is what is allowed instead of a name."""
+    """Return the error for an unknown name, with the nearest allowed names."""
     allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read the TOML document at `path`; InputError when it cannot be read or parsed."""
+    """Read a TOML document as a dict; InputError where it cannot be read or parsed."""
     where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
         text = content.decode("utf-8-sig")
@@ -154,12 +155,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_model(path: Path, model: type[_Model]) -> _Model:
-    """Read the document at `path` as a `model`; InputError naming file, key, found and allowed."""
+    """Read a TOML file and validate it as a `model`; InputError names the faulty key."""
     return parse_model(read_toml(path), model, str(path))
 
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """Validate `document` as a `model`; `where` names it in errors."""
+    """Validate a document as a `model`; InputError names the key, the value and what is allowed."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
             warn_renamed(where, old, new)
@@ -186,7 +187,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
 
 
 def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
-    """Return the field names of the table that `keys` leads to."""
+    """Return the allowed keys of the table at a path of keys."""
     current: Any = model
     for key in keys:
         field = current.model_fields.get(key) if hasattr(current, "model_fields") else None

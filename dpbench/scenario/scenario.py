@@ -49,7 +49,7 @@ CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A run in SI units.
+    """Complete description of a closed-loop run, in SI units.
 
     Parameters
     ----------
@@ -88,6 +88,7 @@ class Scenario:
         )
 
     def _repr_html_(self) -> str:
+        """Return the scenario as an HTML table for notebooks."""
         units = ("m", "m", "rad")
         fields = {
             "shows": self.shows,
@@ -104,46 +105,42 @@ class Scenario:
 
     @property
     def problem(self) -> ControlProblem:
-        """The control problem: model, horizons, weights, limits in SI."""
+        """Control problem of the MPC: model, horizons, weights and limits, in SI units."""
         return self.controller.problem
 
     @property
     def force_step_max(self) -> Vector:
-        """The largest change of the force in one sample (3,) [N, N, N·m], axis by axis."""
+        """Largest change of the force (3,) [N, N, N·m] in one sample."""
         return self.vessel.step_max(self.sample_s)
 
     @property
     def first_state(self) -> Vector:
-        """(6,) [u, v, r, n, e, ψ] at the first sample."""
+        """State (6,) [u, v, r, n, e, ψ] of the ship at the first sample."""
         return np.concatenate([self.velocity, self.start])
 
     def build_reference_table(self, samples: int) -> Matrix:
-        """Tabulate the reference (samples, 3), heading unwrapped from the start's."""
+        """Return the reference pose at each sample (samples, 3), heading unwrapped."""
         return build_reference_table(
             self.start, self.reference, samples, self.sample_s, self.smoothed
         )
 
     def estimator(self) -> Estimator:
-        """Make an estimator, started in the state of the first sample."""
-        estimator = self.estimation.make(self.vessel, self.sample_s)
+        """Return a new estimator, started at the state of the first sample."""
+        estimator = self.estimation.build_estimator(self.vessel, self.sample_s)
         estimator.start(self.first_state)
         return estimator
 
     def first(self, steps: int) -> Scenario:
-        """Return the run cut to its first `steps` samples; InputError below 1."""
+        """Return the scenario cut to its first `steps` samples."""
         if steps < 1:
             raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")
         return replace(self, steps=min(steps, self.steps))
 
 
 def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
-    """Load a scenario by name (a file under `problems/scenarios/`) or TOML path.
+    """Load a scenario by name or from a TOML file; `scenario@vessel` replaces its vessel.
 
-    `scenario@vessel` is the scenario with another vessel than its own. A relative path is looked
-    for in the folder `beside` first, then in the working folder.
-
-    Raises
-    ------
+    A relative path is looked for in the folder `beside` first, then in the working folder. Raises
     InputError : one line naming file, key, what was found and what is allowed.
     """
     name, at, other = str(name_or_path).partition("@")
@@ -163,31 +160,31 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
-    """Load a vessel by name (a file under `problems/vessels/`) or TOML path."""
+    """Load a vessel by name or from a TOML file."""
     path = problem_path("vessels", name_or_path)
-    return read_model(path, VesselFile).vessel(path.stem, str(path))
+    return read_model(path, VesselFile).build_vessel(path.stem, str(path))
 
 
 def read_vessel_documents(
     name_or_path: str | Path, *, beside: Path | None = None
 ) -> VesselDocuments:
-    """Read the vessel's part of `Scenario.files`; a relative path as in `load_scenario`."""
+    """Read a vessel file, given by name or path, as plain values."""
     path = problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
 
 
 def build_vessel(files: VesselDocuments, where: str = "vessel") -> Vessel:
-    """Make the vessel of such documents."""
-    return parse_model(files["vessel"], VesselFile, where).vessel(files["vessel_name"], where)
+    """Build a vessel from the contents of its file."""
+    return parse_model(files["vessel"], VesselFile, where).build_vessel(files["vessel_name"], where)
 
 
 def build_scenario(
     files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
-    """Make the scenario of the documents in `files` (`Scenario.files`, JSON-compatible)."""
+    """Build a scenario from the contents of its files (JSON-compatible)."""
     spec = parse_model(files["scenario"], ScenarioFile, where)
     ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
-    vessel = ship_file.vessel(files["vessel_name"], vessel_where)
+    vessel = ship_file.build_vessel(files["vessel_name"], vessel_where)
     scale = Froude(ship_file.model_scale)
     plant = spec.plant
     sample_s = spec.sample_s * scale.time
@@ -197,7 +194,7 @@ def build_scenario(
     true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
         plant.mass_percent, plant.damping_percent
     )
-    environment = spec.environment.environment(scale)
+    environment = spec.environment.build_environment(scale)
     made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
     controller = CONTROLLERS[spec.controller.kind](made_from)
     # An error before anything runs: wind and drift need data of the hull.
@@ -208,7 +205,7 @@ def build_scenario(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_actuators(spec, controller, sample_s, scale),
+        actuators=_build_actuators(spec, controller, sample_s, scale),
         environment=environment,
         estimation=choose_estimator(spec, scale, where),
         steps=spec.steps,
@@ -216,7 +213,7 @@ def build_scenario(
         start=spec.start.pose() * scale.pose,
         velocity=spec.start.velocity() * scale.velocity,
         reference=spec.reference.pose() * scale.pose,
-        smoothed=spec.reference.smoothed(scale),
+        smoothed=spec.reference.build_filter(scale),
         preview=spec.reference.preview,
         controller=controller,
         files=files,
@@ -224,25 +221,26 @@ def build_scenario(
 
 
 def cached_scenario(files: ScenarioDocuments) -> Scenario:
-    """Make a scenario once a process, whatever the seed of its weather."""
+    """Return the scenario of documents from a cache; the weather's seed may differ."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
-        return _cached_scenario(json.dumps(files, sort_keys=True))
+        return _build_from_json(json.dumps(files, sort_keys=True))
     calm = {**files, "scenario": {**files["scenario"], "environment": {**weather, "seed": 0}}}
-    scenario = _cached_scenario(json.dumps(calm, sort_keys=True))
+    scenario = _build_from_json(json.dumps(calm, sort_keys=True))
     sea = replace(scenario.environment, seed=weather["seed"])
     return replace(scenario, environment=sea, files=files)
 
 
 @lru_cache(maxsize=64)
-def _cached_scenario(files: str) -> Scenario:
+def _build_from_json(files: str) -> Scenario:
+    """Build a scenario from its documents as JSON text, the key of the cache."""
     return build_scenario(json.loads(files))
 
 
-def _actuators(
+def _build_actuators(
     spec: ScenarioFile, controller: Controller, sample_s: float, scale: Froude
 ) -> Actuators | CommandedThrusters | None:
-    """Return what is between commands and the hull; None for nothing."""
+    """Return the losses, delay and lag between commands and the hull; None where there are none."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
@@ -253,5 +251,5 @@ def _actuators(
 
 
 def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
-    """Make the builder of the scenario's QPs, in scaled units or SI."""
+    """Return the builder of a scenario's condensed QPs, in scaled or SI units."""
     return scenario.controller.build_qp(units)

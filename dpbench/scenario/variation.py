@@ -22,26 +22,26 @@ SEED = "environment.seed"
 _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 
-def with_values(
+def replace_values(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
-    """Return the scenario with other values of some keys, under its own name.
+    """Return the scenario with some values replaced, given by their dotted keys.
 
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
     """
-    files = documents_with_values(scenario.files, values, where, beside=beside)
+    files = replace_document_values(scenario.files, values, where, beside=beside)
     return build_scenario(files, where=where, vessel_where=f"{where}: vessel")
 
 
-def documents_with_values(
+def replace_document_values(
     files: ScenarioDocuments,
     values: Mapping[str, object],
     where: str,
     *,
     beside: Path | None = None,
 ) -> ScenarioDocuments:
-    """Return the documents of `with_values`, without validating the scenario."""
+    """Return a scenario's documents with some values replaced, not yet validated."""
     changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
@@ -56,7 +56,7 @@ def documents_with_values(
 
 
 def read_value(scenario: Scenario, key: str, where: str) -> object:
-    """Return the scenario's own value of a key; InputError, naming `where`, without it."""
+    """Return the value of a dotted key in a scenario's files; InputError without such a key."""
     if key == VESSEL:
         return scenario.files["vessel_name"]
     parts = key.split(".")
@@ -67,7 +67,7 @@ def read_value(scenario: Scenario, key: str, where: str) -> object:
 
 
 def _replace_value(table: Any, parts: list[str], value: object, where: str) -> Any:
-    """Copy a table with one of its values replaced; other tables in it are shared."""
+    """Return a copy of a nested table with one value replaced."""
     place = _find_index(table, parts[0], where)
     changed = table.copy()
     changed[place] = _replace_value(table[place], parts[1:], value, where) if parts[1:] else value
@@ -75,7 +75,7 @@ def _replace_value(table: Any, parts: list[str], value: object, where: str) -> A
 
 
 def _find_index(table: Any, part: str, where: str) -> Any:
-    """Return the key or index that `part` is in a table or list."""
+    """Return a part of a dotted key as a key or list index; InputError where it does not exist."""
     if isinstance(table, dict):
         if part in table:
             return part
@@ -89,12 +89,12 @@ def _find_index(table: Any, part: str, where: str) -> Any:
 
 
 def behave_differently(one: Scenario, other: Scenario, steps: int) -> bool:
-    """Return whether two runs can differ, in weather, ship, controller or reference."""
-    return _behaviour(one, steps) != _behaviour(other, steps)
+    """Return whether two scenarios differ in anything that affects a run of `steps` samples."""
+    return _serialise_behaviour(one, steps) != _serialise_behaviour(other, steps)
 
 
-def _behaviour(scenario: Scenario, steps: int) -> bytes:
-    """All that a run of so many steps depends on; names and titles are no part of it."""
+def _serialise_behaviour(scenario: Scenario, steps: int) -> bytes:
+    """Return all that a run depends on as bytes, without names and titles."""
     sea, sample_s = scenario.environment, scenario.sample_s
     weather = (
         sea.stage_table(steps, sample_s, SUBSTEPS),

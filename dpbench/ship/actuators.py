@@ -16,19 +16,19 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Imperfect thrusters; efficiency (3,) is the share of τ that reaches the hull, by axis."""
+    """DelayedThrust losses and dead time between the commanded force and the hull."""
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
-    def start(self) -> Thrust:
-        """Start a run, at rest."""
-        return Thrust(self)
+    def start(self) -> DelayedThrust:
+        """Return the actuators' state at the start of a run, without thrust."""
+        return DelayedThrust(self)
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedThrusters:
-    """Thrusters whose forces the controller commands, with a lag T [s], and losses behind them."""
+    """Thrusters with commanded forces, with a first-order lag, dead time and thrust losses."""
 
     thrusters: ThrusterSet
     sample_s: float
@@ -36,18 +36,18 @@ class CommandedThrusters:
     behind: Actuators
 
     def start(self) -> ThrusterForces:
-        """Start a run, at rest."""
+        """Return the thrusters' state at the start of a run, without thrust."""
         return ThrusterForces(self)
 
 
 class DelayLine:
-    """A ring of the commands still under way."""
+    """Ring buffer that delays commands by a number of samples."""
 
     def __init__(self, samples: int, entries: int) -> None:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
     def push(self, command: Vector) -> Vector:
-        """Add the command given in this sample; return a view of the one that arrives."""
+        """Store the newest command and return a view of the one that is due now."""
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
         # After the step the place to be written next holds the oldest command.
@@ -55,8 +55,8 @@ class DelayLine:
         return arrived
 
 
-class Thrust:
-    """The state of the actuators in one run."""
+class DelayedThrust:
+    """State of the actuators in one run: commands under way, and the delivered force."""
 
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
@@ -64,13 +64,13 @@ class Thrust:
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
-        """Return the force on the hull (3,) for the command tau (3,), valid until the next call."""
+        """Return the force on the hull (3,) for a commanded force tau (3,)."""
         np.multiply(self._efficiency, self._delay.push(tau), out=self._delivered)
         return self._delivered
 
 
 class ThrusterForces:
-    """The state of the thrusters in one run; f (n_f,) are their forces after a sample [N]."""
+    """State of commanded thrusters in one run; f (n_f,) are their present forces [N]."""
 
     def __init__(self, commanded: CommandedThrusters) -> None:
         thrusters, behind = commanded.thrusters, commanded.behind
@@ -88,7 +88,7 @@ class ThrusterForces:
         self._mean = lag * (1.0 - self._left)
 
     def deliver(self, command: Vector) -> Vector:
-        """Return the force on the hull (3,) in this sample for the command f (n_f,)."""
+        """Return the force on the hull (3,) in this sample for commanded thruster forces (n_f,)."""
         goal, f = self._delay.push(command), self.f
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:

@@ -19,7 +19,7 @@ SLOW_FROUDE_NUMBER = 0.2
 
 
 def axis_time_constants_s(vessel: Vessel) -> Vector:
-    """Return the time constants of surge, sway and yaw: (3,) [s].
+    """Return the time constants (3,) [s] of the ship's motion in surge, sway and yaw.
 
     1 over the real parts of the eigenvalues of M⁻¹D, assigned to axes by participation factors
     (Kundur 1994, chapter 12) so that their sum is largest.
@@ -33,12 +33,12 @@ def axis_time_constants_s(vessel: Vessel) -> Vector:
 
 
 def steady_speed(vessel: Vessel) -> Matrix:
-    """Return the speeds at which damping balances the least and largest forces: (2, 3) [SI]."""
+    """Return the steady speeds (2, 3) [m/s, m/s, rad/s] under the least and the largest force."""
     return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
 
 
 def slow_speed(vessel: Vessel) -> Vector:
-    """Return the speeds up to which the linear model holds: (3,) [m/s, m/s, rad/s].
+    """Return the largest speeds (3,) [m/s, m/s, rad/s] at which linear damping is valid.
 
     Fr √(gL) along both axes, and that of bow and stern in a turn.
     """
@@ -53,23 +53,22 @@ def sideways_force(vessel: Vessel) -> Vector:
 
 
 def largest_current_abeam_mps(vessel: Vessel) -> float:
-    """Return the largest current abeam [m/s] that the limits of all axes balance on both sides."""
+    """Return the largest current abeam [m/s] that the ship can hold against."""
     reach = np.minimum(-vessel.tau_min, vessel.tau_max)
     per_mps = np.abs(sideways_force(vessel))
     return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
 
 
 def has_mirror_symmetry(vessel: Vessel) -> bool:
-    """Return whether surge is uncoupled and the limits of sway and yaw are symmetric."""
+    """Return whether surge is uncoupled, and the limits of sway and yaw are symmetric."""
     across = np.concatenate([vessel.M[0, 1:], vessel.M[1:, 0], vessel.D[0, 1:], vessel.D[1:, 0]])
     return not across.any() and np.array_equal(vessel.tau_min[1:], -vessel.tau_max[1:])
 
 
 def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) -> Vector:
-    """Return the mean force of the weather but squalls on the ship at rest: (3,) [N, N, N·m].
+    """Return the mean force (3,) [N, N, N·m] of weather without squalls on the ship at rest.
 
     The squared envelope of the drift has the mean Hs²/8.
-
     Raises InputError where the weather has wind or drift and the vessel no hull data for it.
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)
@@ -79,10 +78,10 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
         return load
     if weather.wind is not None:
         towards = weather.wind.to_rad - heading_rad
-        load = load + weather.wind.speed_mps**2 * hull[WIND_U:DRIFT_U] * _shares(towards)
+        load = load + weather.wind.speed_mps**2 * hull[WIND_U:DRIFT_U] * _flow_factors(towards)
     if weather.drift is not None:
         sea = weather.drift.sea
-        load = load + sea.hs_m**2 / 8.0 * hull[DRIFT_U:] * _shares(sea.to_rad - heading_rad)
+        load = load + sea.hs_m**2 / 8.0 * hull[DRIFT_U:] * _flow_factors(sea.to_rad - heading_rad)
     if weather.current is not None:
         towards = weather.current.to_rad - heading_rad
         flow = np.array([np.cos(towards), np.sin(towards), 0.0])
@@ -90,7 +89,7 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
     return load
 
 
-def _shares(towards_rad: float) -> Vector:
-    """Return |V| u, |V| v and −2 u v for V of length 1 in that direction: (3,)."""
+def _flow_factors(towards_rad: float) -> Vector:
+    """Return the force factors (3,) of a unit flow in a direction: |V| u, |V| v and −2 u v."""
     u, v = np.cos(towards_rad), np.sin(towards_rad)
     return np.array([u, v, -2.0 * u * v])

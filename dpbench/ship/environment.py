@@ -39,7 +39,7 @@ WeatherDraw = dict[str, Matrix]
 
 @dataclass(frozen=True, eq=False)
 class Squall:
-    """A force added to the slow forces, that rises, stays and decays along straight lines.
+    """Force that rises, stays and decays along straight lines, added to the slow forces.
 
     start_s, rise_s : it grows from zero at start_s to the full force at start_s + rise_s [s].
     hold_until_s, decay_s : it stays until hold_until_s and is gone decay_s later [s].
@@ -52,8 +52,8 @@ class Squall:
     decay_s: float
     force: Vector
 
-    def at(self, t_s: ArrayLike) -> Matrix:
-        """Return the force at the times t_s (...,): (..., 3) [N, N, N·m]."""
+    def force_at(self, t_s: ArrayLike) -> Matrix:
+        """Return the squall's force (..., 3) [N, N, N·m] at the times t_s."""
         end_s = self.hold_until_s + self.decay_s
         corners = [self.start_s, self.start_s + self.rise_s, self.hold_until_s, end_s]
         share = np.interp(np.asarray(t_s, dtype=np.float64), corners, [0.0, 1.0, 1.0, 0.0])
@@ -62,12 +62,13 @@ class Squall:
 
 @dataclass(frozen=True)
 class Current:
-    """A steady irrotational current of V_c = speed_mps that sets *to* β = to_rad from north.
+    """Steady, irrotational ocean current of constant speed and direction.
 
         M ν̇ + D (ν − ν_c) = τ + …,   ν_c = R(ψ)ᵀ [V_c cos β, V_c sin β, 0]
 
-    D is meant for low relative speed; the term of added mass in ν̇_c, which only a turning ship
-    meets, is left out with the Coriolis terms that the paper leaves out (eq. 4).
+    V_c = speed_mps, to the direction β = to_rad from north. D is meant for low relative speed. The
+    term of added mass in ν̇_c, which only a turning ship meets, is left out with the Coriolis terms
+    that the paper leaves out (eq. 4).
     """
 
     speed_mps: float
@@ -75,25 +76,25 @@ class Current:
 
     @property
     def velocity(self) -> Vector:
-        """(2,) north and east [m/s]."""
+        """Velocity (2,) of the current, north and east [m/s]."""
         return self.speed_mps * np.array([np.cos(self.to_rad), np.sin(self.to_rad)])
 
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """White Gaussian noise on the measured pose, one draw per sample; std (3,) [m, m, rad]."""
+    """White Gaussian noise on measured position and heading; std (3,) [m, m, rad]."""
 
     std: Vector
 
     def table(self, samples: int, seed: int) -> Matrix:
-        """Draw the noise (samples, 3) [m, m, rad]; a longer table begins with the shorter one."""
+        """Draw the noise (samples, 3) of a seed; a longer table begins with the shorter one."""
         stream = random_stream(seed, "noise")
         return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """The weather of a run.
+    """Weather of a run: slow forces, squalls, wind, current, waves, and the measurement's noise.
 
     mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m], of periods and phases (3,).
     ramp_s : time over which all but squalls grows from zero [s]; 0 for none.
@@ -116,28 +117,28 @@ class Environment:
 
     @property
     def depends_on_ship(self) -> bool:
-        """True where a load depends on the ship's velocity or heading: wind, current or drift."""
+        """Return whether a load depends on the ship's velocity or heading, as wind does."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
     def is_random(self) -> bool:
-        """True where any of it is random, so that the seed matters."""
+        """Return whether any part of the weather is random, so that the seed matters."""
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
     def force(self, t_s: ArrayLike) -> Matrix:
-        """Return b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
+        """Return slow forces and squalls (..., 3) [N, N, N·m], north, east, yaw, at times t_s."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
         if self.ramp_s > 0:
             b *= np.minimum(t / self.ramp_s, 1.0)
         for squall in self.squalls:
-            b += squall.at(t_s)
+            b += squall.force_at(t_s)
         return b
 
     def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
-        """Sum up the harmonics of wind speed and wave height: (steps, 2·substeps + 1) each."""
-        start, offset = _stages(steps, sample_s, substeps)
+        """Return wind speed and wave envelope at all stages: (steps, 2·substeps + 1) each."""
+        start, offset = _stage_times(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
         if self.wind is not None:
             drawn["wind"] = self.wind.speed(start, offset, self.seed)
@@ -148,13 +149,13 @@ class Environment:
     def stage_table(
         self, steps: int, sample_s: float, substeps: int, drawn: WeatherDraw | None = None
     ) -> Matrix:
-        """Tabulate the weather at Runge-Kutta 4 stages: (steps, 2·substeps + 1, 3 or 9).
+        """Return the weather at all Runge-Kutta stages: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
         entry the end of the sample; the columns are those of `layout`. `drawn` saves summing up
         the harmonics; it may be of more steps.
         """
-        start, offset = _stages(steps, sample_s, substeps)
+        start, offset = _stage_times(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
         b = np.ascontiguousarray(self.force(t))
         if not self.depends_on_ship:
@@ -163,17 +164,17 @@ class Environment:
         table = np.zeros((*t.shape, LOADED))
         table[..., :PLAIN] = b
         if self.wind is not None:
-            table[..., AIR] = _along(drawn["wind"][:steps], self.wind.to_rad)
+            table[..., AIR] = _vectors_towards(drawn["wind"][:steps], self.wind.to_rad)
         if self.current is not None:
             table[..., WATER] = self.current.velocity
         if self.drift is not None:
-            table[..., WAVE] = _along(drawn["waves"][:steps], self.drift.sea.to_rad)
+            table[..., WAVE] = _vectors_towards(drawn["waves"][:steps], self.drift.sea.to_rad)
         if self.ramp_s > 0:
             table[..., PLAIN:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
-        """Return the hull's coefficients of wind and drift (6,); None for a table of 3 columns.
+        """Return the hull's coefficients (6,) of wind and wave drift; None for other weather.
 
         Raises InputError where the weather has wind or drift and the vessel no hull data for it.
         """
@@ -193,26 +194,26 @@ class Environment:
         return coefficients
 
     def measured_motion(self, samples: int, sample_s: float) -> Matrix:
-        """Wave-frequency motion at the samples: (samples, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at the samples: (samples, 6), SI."""
         if self.motion is None:
             return np.zeros((samples, STATE))
         t = sample_s * np.arange(samples, dtype=np.float64)
         return self.motion.table(t, self.seed)
 
     def noise_table(self, samples: int) -> Matrix:
-        """Noise of the measured pose at the samples: (samples, 3) [m, m, rad]."""
+        """Return the noise (samples, 3) [m, m, rad] of the measured position and heading."""
         if self.noise is None:
             return np.zeros((samples, AXES))
         return self.noise.table(samples, self.seed)
 
 
-def _stages(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
-    """Return the times of samples (steps,) and of stages after them (2·substeps + 1,)."""
+def _stage_times(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
+    """Return the sample times (steps,) and the stage times after each (2·substeps + 1,) [s]."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
-def _along(length: Matrix, to_rad: float) -> Matrix:
-    """Return vectors (..., 2), north and east, of lengths (...,) in one direction."""
+def _vectors_towards(length: Matrix, to_rad: float) -> Matrix:
+    """Return vectors (..., 2), north and east, of given lengths in one direction."""
     vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
     return vectors

@@ -15,31 +15,31 @@ from dpbench.arrays import Vector
 
 @dataclass(frozen=True)
 class Froude:
-    """Factors from full size to a model of scale 1 : ratio."""
+    """Froude scaling factors from full size to a model of scale 1 : ratio."""
 
     ratio: float = 1.0
 
     @property
     def length(self) -> float:
-        """Factor of lengths."""
+        """Scale factor of lengths."""
         return 1.0 / self.ratio
 
     @property
     def time(self) -> float:
-        """Factor of times and of speeds."""
+        """Scale factor of times, which is also that of speeds."""
         return 1.0 / math.sqrt(self.ratio)
 
     @property
     def force(self) -> Vector:
-        """Factors (3,) of surge and sway force and yaw moment."""
+        """Scale factors (3,) of surge force, sway force and yaw moment."""
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
     def velocity(self) -> Vector:
-        """Factors (3,) of surge and sway speed and yaw rate."""
+        """Scale factors (3,) of surge speed, sway speed and yaw rate."""
         return np.array([self.time, self.time, 1.0 / self.time])
 
     @property
     def pose(self) -> Vector:
-        """Factors (3,) of north, east, heading."""
+        """Scale factors (3,) of north, east and heading."""
         return np.array([self.length, self.length, 1.0])

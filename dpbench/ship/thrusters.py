@@ -31,13 +31,13 @@ MECHANICAL_EFFICIENCY = 0.93
 
 
 def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
-    """Return the bollard pull ahead, η_1 (η_m P D)^(2/3) [N] (DNV-ST-0111 level 1, η_2 = 1)."""
+    """Return the bollard pull ahead [N] of a propeller by DNV-ST-0111 level 1."""
     return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
 
 
 @dataclass(frozen=True)
 class Screw:
-    """The propeller of a thruster; height_m is that of its shaft above the keel, if known."""
+    """Propeller of a thruster: diameter, type, and height of its shaft above the keel."""
 
     diameter_m: float
     propeller: Propeller
@@ -46,7 +46,7 @@ class Screw:
 
 @dataclass(frozen=True)
 class Thruster:
-    """One thruster.
+    """One thruster of a ship: type, position, largest thrust and limits.
 
     x_m, y_m : place ahead and to starboard of the origin of the ship's matrices [m].
     thrust_N : T, the largest thrust ahead; of an azimuth, in any direction it may take [N].
@@ -83,12 +83,12 @@ class Thruster:
 
     @property
     def components(self) -> int:
-        """Number of entries of f: 2 for an azimuth, 1 else."""
+        """Number of force components: 2 for an azimuth thruster, 1 for any other."""
         return 2 if self.kind == "azimuth" else 1
 
     @property
     def columns(self) -> Matrix:
-        """Columns of T_e: (3, components)."""
+        """Columns (3, components) of this thruster in the configuration matrix T_e."""
         along, across = (1.0, 0.0, -self.y_m), (0.0, 1.0, self.x_m)
         parts = {"azimuth": (along, across), "tunnel": (across,), "main": (along,)}
         return np.array(parts[self.kind]).T
@@ -112,73 +112,73 @@ class ThrusterSet:
 
     @property
     def longest_arm_m(self) -> float:
-        """The largest distance of a thruster from the origin; 1 where all are there."""
+        """Largest distance [m] of a thruster from the origin; 1 where all are at the origin."""
         return max((float(np.hypot(t.x_m, t.y_m)) for t in self.thrusters), default=1.0) or 1.0
 
     @cached_property
     def T_e(self) -> Matrix:
-        """Extended configuration matrix (3, n_f): τ = T_e f."""
+        """Extended thruster configuration matrix (3, n_f), from forces f to τ = T_e f."""
         parts = [thruster.columns for thruster in self.thrusters]
         return np.ascontiguousarray(np.hstack(parts)) if parts else np.zeros((AXES, 0))
 
     @cached_property
     def n_f(self) -> int:
-        """Entries of f."""
+        """Number of force components of all thrusters."""
         return sum(thruster.components for thruster in self.thrusters)
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Slices of f, one per thruster."""
+        """Slice of each thruster's components in the force vector f."""
         ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
     def per_entry(self, values: Sequence[float] | Vector) -> Vector:
-        """Repeat one value per thruster (p,) for each of its entries of f (n_f,)."""
+        """Repeat one value per thruster (p,) for each of its force components (n_f,)."""
         return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])
 
     @cached_property
     def thrust_N(self) -> Vector:
-        """T_i (p,) [N]."""
+        """Largest thrust of each thruster (p,) [N]."""
         return np.array([thruster.thrust_N for thruster in self.thrusters])
 
     def step_max(self, sample_s: float) -> Vector:
-        """Return Δf_max (n_f,) [N], the largest change of each entry in one sample."""
+        """Return the largest change of each force component (n_f,) [N] in one sample."""
         rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
         return self.per_entry(self.thrust_N * sample_s / rise_s)
 
-    def size(self, f: Matrix) -> Matrix:
-        """Return |f_i| (..., p) of forces f (..., n_f) [N]."""
+    def magnitudes(self, f: Matrix) -> Matrix:
+        """Return the magnitude of each thruster's force (..., p), for forces f (..., n_f) [N]."""
         sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.slices]
         return np.stack(sizes, axis=-1)
 
     def support(self, direction: Vector) -> float:
-        """Return the support function: the largest τ·d over all f within limits, for d (3,)."""
+        """Return the largest force of all thrusters along a direction (3,): max of direction·τ."""
         slopes = direction @ self.T_e
         return float(
-            sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.slices, strict=True))
+            sum(_support(t, slopes[at]) for t, at in zip(self.thrusters, self.slices, strict=True))
         )
 
     def limits(self) -> tuple[Vector, Vector]:
-        """Return τ_min, τ_max (3,): the most in each axis by itself [N, N, N·m]."""
+        """Return the least and largest force (3,) [N, N, N·m] in each axis by itself."""
         axes = np.eye(AXES)
         least = np.array([-self.support(-axis) for axis in axes])
         return least, np.array([self.support(axis) for axis in axes])
 
     def rate(self) -> Vector:
-        """Return the fastest change of τ (3,), each axis by itself [N/s, N/s, N·m/s]."""
+        """Return the fastest change of force (3,) [N/s, N/s, N·m/s] in each axis by itself."""
         largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
         return largest
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """Indices of the thrusters of each failure group; one without a group is its own."""
+        """Indices of the thrusters in each failure group, by name of the group."""
         members: dict[str, list[int]] = {}
         for i, thruster in enumerate(self.thrusters):
             members.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in members.items()}
 
     def find_indices(self, names: Sequence[str], where: str, key: str) -> set[int]:
-        """Return the indices of thrusters, or of whole failure groups, by name."""
+        """Return the indices of thrusters given by name, or by name of their failure group."""
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:
             if name not in known:
@@ -186,8 +186,8 @@ class ThrusterSet:
         return {i for name in names for i in known[name]}
 
 
-def _most(thruster: Thruster, slope: Vector) -> float:
-    """Return the largest slope·f_i within the limits of one thruster; slope (components,)."""
+def _support(thruster: Thruster, slope: Vector) -> float:
+    """Return the largest value of slope·f_i within the limits of one thruster."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N
         return float(max(slope[0] * low, slope[0] * high))

@@ -12,7 +12,7 @@ from dpbench.bench.plan.suite import load_suite
 from dpbench.cli.main import main
 from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
 from dpbench.scenario.hull_files import read_mss
-from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, Thrust, scale_vessel
+from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, ThrustLimits, scale_vessel
 from dpbench.scenario.scenario import load_scenario, load_vessel
 
 CUT = Path(__file__).parents[1] / "scenario" / "mss" / "supply_cut.mat"
@@ -94,7 +94,7 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     draught_m = breadth_m / shallow
     mass_kg = block * 1026.0 * length_m * breadth_m * draught_m
     own = Particulars(length_m, breadth_m, draught_m, mass_kg)
-    vessel = scale_vessel(like, own, Thrust(weight_share * mass_kg * 9.81), "own")
+    vessel = scale_vessel(like, own, ThrustLimits(weight_share * mass_kg * 9.81), "own")
     folder = tmp_path_factory.mktemp("own")
     texts = {
         "own.toml": vessel_text(OwnShip("own", own, vessel, like, None), "a command"),

@@ -20,7 +20,7 @@ from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file, read_bytes
-from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.problem_files import read_toml
 
 
@@ -31,7 +31,7 @@ def _kept(path: Path) -> None:
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "ship.toml": read_toml,
-    "hull.csv": read_table,
+    "hull.csv": read_coefficient_table,
     "hull.mat": read_mss,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
@@ -94,7 +94,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         file.truncate(10**12)
     with pytest.raises(InputError, match="found 1000000000000 bytes; allowed: at most 1000"):
         read_bytes(path, "a file", most_bytes=1000)
-    for read in (read_toml, read_table, read_mss, read_json):
+    for read in (read_toml, read_coefficient_table, read_mss, read_json):
         with pytest.raises(InputError, match="1000000000000 bytes"):
             read(path)
 

@@ -9,7 +9,12 @@ import pytest
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.law import closed_loop, compute_closed_loop_eigenvalues, gains, unconstrained_plan
+from dpbench.mpc.law import (
+    build_closed_loop,
+    compute_closed_loop_eigenvalues,
+    gains,
+    unconstrained_plan,
+)
 from dpbench.mpc.model import StateSpace, augment, build_prediction_model
 from dpbench.qp.stacked import stack
 from dpbench.scenario.scenario import load_vessel
@@ -89,7 +94,7 @@ def test_closed_loop_matrix_is_one_step_of_the_loop(case: Any) -> None:
     """Eq. 34: (A − B K_mpc) x + B K_y y_d is the model stepped under the law of eq. 33."""
     model, law = case.problem.model, gains(case.problem)
     du = law.K_y @ case.y_ref - law.K_mpc @ case.x
-    after = closed_loop(model, law) @ case.x + model.B @ law.K_y @ case.y_ref
+    after = build_closed_loop(model, law) @ case.x + model.B @ law.K_y @ case.y_ref
     np.testing.assert_allclose(after, model.A @ case.x + model.B @ du, rtol=1e-9, atol=1e-9)
 
 

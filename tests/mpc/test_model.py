@@ -17,7 +17,7 @@ from dpbench.mpc.model import (
     discretise,
     linearise,
     rotate_model,
-    rotation,
+    rotation_matrix,
 )
 from dpbench.mpc.reference import ReferenceFilter, build_reference_table, unwrap_pose
 from dpbench.scenario.scenario import load_vessel
@@ -27,10 +27,10 @@ HEADINGS = (0.0, 0.7, -2.5)
 
 
 def test_rotation_maps_body_axes_to_compass_axes() -> None:
-    R = rotation(np.pi / 2)
+    R = rotation_matrix(np.pi / 2)
     np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-16)
     np.testing.assert_allclose(R @ [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], atol=1e-16)
-    np.testing.assert_allclose(rotation(0.4) @ rotation(0.4).T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix(0.4) @ rotation_matrix(0.4).T, np.eye(3), atol=1e-15)
 
 
 @pytest.mark.parametrize("psi0_rad", HEADINGS)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dpbench.errors import ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.model import discretise, linearise, rotation
+from dpbench.mpc.model import discretise, linearise, rotation_matrix
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.soft_limits import Penalty
@@ -227,7 +227,7 @@ def test_a_constant_disturbance_leaves_no_steady_error(ship: Any, variant: str) 
     builder = builder_of(problem, VARIANTS[variant])
     referee = Referee(builder.P, builder.A, builder.lb, builder.ub)
     plant = discretise(linearise(vessel.M, vessel.D, PSI0), 0.3)
-    push = rotation(PSI0).T @ DISTURBANCE
+    push = rotation_matrix(PSI0).T @ DISTURBANCE
     state = np.array([0.0, 0.0, 0.0, 0.5, -0.4, PSI0])
     y_ref = np.array([0.2, 0.1, PSI0 + 0.02])
     before, u, limited = state, np.zeros(3), 0

@@ -50,7 +50,7 @@ def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
     np.testing.assert_allclose(rows.low[-2:], [-8e4, -1.2e5])
     np.testing.assert_allclose(rows.high[-2:], [8e4, 3e5])
     assert np.isfinite(rows.low).all() and np.isfinite(rows.high).all()
-    low, high, _ = rows.without({0, 2})
+    low, high, _ = rows.limits_after_loss({0, 2})
     assert high[4] == 8e4
     f = np.random.default_rng(0).uniform(-1e5, 1e5, (1000, 4))
     f[:200, [0, 1, 3]] = 0.0
@@ -87,7 +87,8 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
-    least, most = LimitRampDown(rows, du_max, row_max, N_c).limits(f, rows.without(lost))
+    ramp_down = LimitRampDown(rows, du_max, row_max, N_c)
+    least, most = ramp_down.compute_limits(f, rows.limits_after_loss(lost))
     before = f
     for i in range(N_c):
         now = f.copy()
@@ -116,14 +117,14 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
 ) -> None:
     thrusters, N_c = one_azimuth(), 3
     rows, du_max = thruster_rows(thrusters, 8), thrusters.step_max(1.0)
-    row_max, f = rows.units(du_max), T * np.array(parts)
+    row_max, f = rows.row_units(du_max), T * np.array(parts)
     r, factor = len(row_max), np.linspace(0.5, 2.0, len(row_max))
-    limits = rows.without(lost)
+    limits = rows.limits_after_loss(lost)
     low, high = left * limits.low, left * limits.high
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
     ramp = LimitRampDown(rows, du_max, row_max, N_c, factor=factor)
-    ramp.write(f, Limits(low, high, limits.lost), l, u)
+    ramp.write_limits(f, Limits(low, high, limits.lost), l, u)
     for k in range(r):
         number = rows.thruster[k]
         own, entries = np.flatnonzero(rows.thruster == number), rows.entry == number

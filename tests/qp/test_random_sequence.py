@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
-from dpbench.qp.random_sequence import Planted, plant_sequence, random_sequence
+from dpbench.qp.random_sequence import PlantedSequence, plant_sequence, random_sequence
 from dpbench.qp.referee.referee import Referee
 
 INF = np.inf
@@ -25,7 +25,7 @@ def exact(array: np.ndarray) -> np.ndarray:
     return np.array(flat, dtype=object).reshape(array.shape)
 
 
-def joint(found: Planted, k: int) -> tuple[np.ndarray, ...]:
+def joint(found: PlantedSequence, k: int) -> tuple[np.ndarray, ...]:
     """C, L, U, multipliers of step k, with C = [A; I]."""
     base, step = found.sequence.base, found.sequence.step(k)
     C = np.vstack((base.A, np.eye(base.n)))
@@ -96,7 +96,7 @@ def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
         assert answer.fun >= MARGIN / 10
 
 
-def _met(found: Planted, k: int) -> np.ndarray:
+def _met(found: PlantedSequence, k: int) -> np.ndarray:
     """Which limits the planted optimum of step k meets."""
     C, L, U, _ = joint(found, k)
     value = C @ found.z[k]

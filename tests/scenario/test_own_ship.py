@@ -12,7 +12,7 @@ from dpbench.scenario.own_ship import (
     SPARE,
     LibraryShip,
     Particulars,
-    Thrust,
+    ThrustLimits,
     largest_sea,
     load_share,
     nearest_ship,
@@ -35,7 +35,7 @@ def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:
 def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
     """Inertia, damping, limits, rates and areas come back."""
     vessel, ship = load_vessel(name), LIBRARY[name]
-    same = scale_vessel(name, own_size(ship), Thrust(vessel.tau_max[0]))
+    same = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
     for key in ("M", "D", "tau_min", "tau_max", "rate_max"):
         np.testing.assert_allclose(getattr(same, key), getattr(vessel, key), rtol=1e-12)
     assert same.length_m == vessel.length_m
@@ -48,7 +48,7 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
     """Masses grow with λ³, times with √λ, accelerations stay; limits and rates as the forces."""
     vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
-    thrust = Thrust(vessel.tau_max[0] * law.force[0])
+    thrust = ThrustLimits(vessel.tau_max[0] * law.force[0])
     large = scale_vessel(name, own_size(ship, factor), thrust)
     arm = np.array([1.0, 1.0, law.length])
     by_mass = law.length**3 * np.outer(arm, arm)
@@ -76,7 +76,7 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
     """In the Bis system mass scales inertia and damping alike; thrust has no part in either."""
     vessel, ship = load_vessel("supply_mss"), LIBRARY["supply_mss"]
     own = Particulars(ship.length_m, ship.breadth_m, 6.0, heavier * ship.mass_kg)
-    heavy = scale_vessel("supply_mss", own, Thrust(stronger * vessel.tau_max[0]))
+    heavy = scale_vessel("supply_mss", own, ThrustLimits(stronger * vessel.tau_max[0]))
     times = axis_time_constants_s(heavy), axis_time_constants_s(vessel)
     np.testing.assert_allclose(*times, rtol=1e-9)
     np.testing.assert_allclose(heavy.tau_max, stronger * vessel.tau_max, rtol=1e-12)
@@ -85,10 +85,10 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
 def test_forces_that_are_given_are_taken() -> None:
     """Sway force and moment replace the shares, and the moment follows the sway force."""
     own = own_size(LIBRARY["supply_fs99"])
-    given_ = scale_vessel("supply_fs99", own, Thrust(3e5, 2e5, 5e6))
+    given_ = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 2e5, 5e6))
     np.testing.assert_allclose(given_.tau_max, [3e5, 2e5, 5e6])
     np.testing.assert_allclose(given_.tau_min[1:], [-2e5, -5e6])
-    half = scale_vessel("supply_fs99", own, Thrust(3e5, 417e3 / 2))
+    half = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 417e3 / 2))
     assert half.tau_max[2] == pytest.approx(9e6)
     rise_s = given_.tau_max / given_.rate_max
     vessel = load_vessel("supply_fs99")
@@ -125,6 +125,6 @@ def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
 def test_a_ship_that_no_sea_suits_gets_the_smallest() -> None:
     """A hundredth of the thrust."""
     own = own_size(LIBRARY["supply_fs99"])
-    weak = scale_vessel("supply_fs99", own, Thrust(5e3))
+    weak = scale_vessel("supply_fs99", own, ThrustLimits(5e3))
     assert load_share(weak, 1) > SPARE
     assert largest_sea(weak) == 1

@@ -22,7 +22,7 @@ from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
 from dpbench.report.report import Report
-from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.problem_files import problems_root
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from tests.conftest import MadeRecords
@@ -201,7 +201,7 @@ class Hulls(Soaked):
         return of_bytes(data, rng) if name.endswith(".mat") else of_text(data, rng)
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
-        (read_mss if name.endswith(".mat") else read_table)(folder / name)
+        (read_mss if name.endswith(".mat") else read_coefficient_table)(folder / name)
 
 
 KINDS: dict[str, type[Soaked]] = {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import Planted, plant_sequence
+from dpbench.qp.random_sequence import PlantedSequence, plant_sequence
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
@@ -35,7 +35,7 @@ def answers(problem, policy, solver="paper_active_set", settings="default"):
             workspace.reset()
 
 
-def check(problem: Planted, policy: Policy) -> None:
+def check(problem: PlantedSequence, policy: Policy) -> None:
     """Every feasible step is solved and true at 1e-6, every other one proven infeasible."""
     for k, (qp, answer) in enumerate(answers(problem, policy)):
         where = f"{problem.sequence.name}, {policy}, step {k}: {answer.status.name} {answer.detail}"

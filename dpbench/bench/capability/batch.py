@@ -69,7 +69,7 @@ def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QP
         weather = frontier.weather(point.from_rad, point.wind_mps)
         _, chosen = frontier.best_choice(point.case, point.from_rad, point.wind_mps)
         lost = frontier.lost_thrusters(point.case)
-        problems.append(allocation.qp(weather.load, weather.shares, chosen, lost))
+        problems.append(allocation.build_qp(weather.load, weather.shares, chosen, lost))
     q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
     rows = np.array([qp.A for qp in problems])
     changed = None if (rows == rows[0]).all() else rows

@@ -25,7 +25,7 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     if control is None:
         return {}
     thrusters = control.thrusters
-    size, most = thrusters.size(f), thrusters.thrust_N
+    size, most = thrusters.magnitudes(f), thrusters.thrust_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 
@@ -78,7 +78,7 @@ def _count_at_limits(
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
-    unit, G = control.rows.units(step_max), control.rows.G
+    unit, G = control.rows.row_units(step_max), control.rows.G
     low, high = stack_limits(limits[: len(f)])
     lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
@@ -91,7 +91,7 @@ def _count_at_limits(
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
-        least, most = (side[0] * unit for side in ramp_down.limits(before[k], limits[k]))
+        least, most = (side[0] * unit for side in ramp_down.compute_limits(before[k], limits[k]))
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)

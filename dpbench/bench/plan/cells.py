@@ -34,7 +34,7 @@ from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
-from dpbench.qp.referee.kkt import positive_definite
+from dpbench.qp.referee.kkt import is_positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import build_vessel, read_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -166,7 +166,7 @@ def recorded_cells(
         source = RecordedSource(sequence.name, origin, sha256)
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
-        strict = all(positive_definite(P) for P in matrices)
+        strict = all(is_positive_definite(P) for P in matrices)
         cells += planned if strict else map(_refuse_semidefinite, planned)
     return cells
 

@@ -15,9 +15,9 @@ from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import (
     SEED,
     behave_differently,
-    documents_with_values,
     read_value,
-    with_values,
+    replace_document_values,
+    replace_values,
 )
 
 
@@ -114,12 +114,12 @@ class _ScenarioCache:
             return self._point[1].files, self._point[1].steps
         # A scenario in another sea need not be made to know that it can be.
         known = self._point[1]
-        return documents_with_values(known.files, point.of_replicate, self._where), known.steps
+        return replace_document_values(known.files, point.of_replicate, self._where), known.steps
 
     def build(self, values: Point) -> Scenario:
         """Return the base scenario with the values of some keys replaced."""
         if values != self._values:
-            self._scenario = with_values(self._base, values, self._where, beside=self._beside)
+            self._scenario = replace_values(self._base, values, self._where, beside=self._beside)
             self._values = values
         return self._scenario
 

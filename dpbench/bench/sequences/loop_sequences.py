@@ -59,7 +59,7 @@ def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> Q
     thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
-    least, most, _ = rows.without(thrusters.groups[group])
+    least, most, _ = rows.limits_after_loss(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = LossAllocation(thrusters, rows)
     l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program

@@ -26,7 +26,7 @@ from dpbench.ship.layout import AXES
 
 @dataclass(frozen=True, eq=False)
 class AllocationProblem:
-    """Weights and limits of an allocation, in SI units.
+    """Weights and limits of a dynamic thrust allocation, in SI units.
 
     T_e : (3, n_f) configuration matrix; rows : r limits of the thrusters.
     W, R : (n_f, n_f) weights of f and of Δf; slack : (3, 3) Ω, that of the force not delivered.
@@ -52,11 +52,11 @@ class AllocationProblem:
 
     @cached_property
     def row_max(self) -> Vector:
-        """(r,) the change of G f by a full step along each row: the unit of the row."""
-        return self.rows.units(self.df_max)
+        """Change of each row (r,) by a full rate-limit step of its thruster: the row's unit."""
+        return self.rows.row_units(self.df_max)
 
     def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
-        """Return W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation without limits, rates and slack.
+        """Return the weighted pseudo-inverse (n_f, 3) of T_e, an allocation without limits.
 
         Thrusters that are `lost` (p,) get nothing; where the others cannot make every force,
         it is that of least squares in units of `step_max`.
@@ -70,7 +70,7 @@ class AllocationProblem:
 
 
 class AllocationQP:
-    """The QPs of an allocation, all of one shape; units "scaled" or "si" (z = [Δf; s]).
+    """Builder of the thrust-allocation QP of each step, in scaled or SI units.
 
     P (n, n), A (m, n), lb, ub (n,) : constant; n = n_f + 3, the slacks last, and m = 3 + r.
     Z (n + 2m, 3 + n_f + 1) : the affine map [q; l; u] = Z [τ_c; f_prev; 1].
@@ -89,14 +89,14 @@ class AllocationQP:
         # One unit of a variable and of a row in [N, N·m].
         self._unit: Vector = unit if scaled else one
         self._row_unit: Vector = row_unit if scaled else row_one
-        self._build()
+        self._build_matrices()
         self._theta = np.ones(AXES + n_f + 1)
         of_limits = problem.row_max / self._row_unit[AXES:]
         rates = problem.df_max, problem.row_max
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
-    def _build(self) -> None:
-        """Build P, A, bounds and Z in SI units, then in those of the variables and rows."""
+    def _build_matrices(self) -> None:
+        """Build P, A, bounds and the affine map Z of the allocation QP, in its units."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))
@@ -116,13 +116,11 @@ class AllocationQP:
         self.Z: Matrix = np.vstack([q * unit[:, np.newaxis], *(limits / row_unit)])
 
     def emit(self, tau: Vector, f_prev: Vector, *, limits: Limits | None = None) -> QPStep:
-        """Return the QP of one step, in memory of its own.
+        """Return the allocation QP of one step for a demanded force tau, in newly allocated memory.
 
         tau : (3,) τ_c, the force demanded [N, N, N·m]; f_prev : (n_f,) forces of the thrusters in
-        the
-        last sample [N]; limits : [N], in force from now on instead of those of the problem; a
-        thruster
-        beyond them may retreat straight to zero (`LimitRampDown`).
+        the last sample [N]; limits : [N], in force from now on instead of those of the problem; a
+        thruster beyond them may retreat straight to zero (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev
@@ -131,19 +129,19 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._ramp_down.write(f_prev, limits, step.l[AXES:], step.u[AXES:])
+            self._ramp_down.write_limits(f_prev, limits, step.l[AXES:], step.u[AXES:])
         return step
 
     def base(self) -> QuadraticProgram:
-        """Return the problem at rest, with no force demanded, for the set-up of a workspace."""
+        """Return the QP of zero force and zero demand, to set up a solver's workspace."""
         return self.problem(self.emit(np.zeros(AXES), np.zeros(self.n_f)))
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """Return the whole problem of a step; a warm start is not shifted, slacks are no moves."""
+        """Return the complete allocation QP of a step."""
         vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
         return QuadraticProgram(self.P, *vectors, moves=self.n_f)
 
     def moves(self, z: Vector) -> Vector:
-        """Return Δf (n_f,) [N] of an answer."""
+        """Return the changes Δf (n_f,) [N] of the thruster forces in a solution z."""
         delta_f: Vector = z[: self.n_f] * self._unit[: self.n_f]
         return delta_f

@@ -26,7 +26,7 @@ _PARALLEL = 1e-9  # Smaller cross products, and distances of normals, are one di
 
 @dataclass(frozen=True, eq=False)
 class AttainableSet:
-    """Rows of the set, whole and after losses.
+    """Polytope of the forces (surge, sway, yaw) that all thrusters attain together.
 
     normals : (r, 3) rows n [1, 1, 1/m], one for a facet and the one across.
     corners : of each thruster's part (v_i, 3) [N, N, N·m].
@@ -36,7 +36,7 @@ class AttainableSet:
     corners: tuple[Matrix, ...]
 
     def limits(self, lost: Collection[int]) -> Limits:
-        """Return −h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing.
+        """Return the limits of the polytope's rows after the loss of some thrusters.
 
         The force as a whole counts as lost where the set is empty in some direction.
         """
@@ -49,30 +49,32 @@ class AttainableSet:
         return Limits(low, high, np.array([(low == high).any()]))
 
     def rows(self) -> ThrusterRows:
-        """Return the set as rows of the force: one group of rows and entries."""
+        """Return the polytope as linear limits of the force, all in one group."""
         low, high, _ = self.limits(())
         one_group = (np.zeros(size, dtype=np.intp) for size in (len(low), AXES))
         return ThrusterRows(self.normals, low, high, *one_group)
 
 
 def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
-    """Return the set of a ship's thrusters, circles as polygons of so many sides (`thruster_rows`).
+    """Return the polytope of attainable forces, with circles as polygons of `sides` sides.
 
     InputError for an azimuth with a sector.
     """
-    parts = [_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters]
+    parts = [
+        _thruster_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters
+    ]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
     arm = np.array([1.0, 1.0, 1.0 / thrusters.longest_arm_m])
-    edges = np.vstack([_edges(part * arm) for part in parts])
+    edges = np.vstack([_edge_directions(part * arm) for part in parts])
     pairs = np.triu_indices(len(edges), 1)
     crossed = np.cross(edges[pairs[0]], edges[pairs[1]])
     size = np.linalg.norm(crossed, axis=1)
-    normals = _distinct(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
+    normals = _remove_parallel(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
     return AttainableSet(np.ascontiguousarray(normals * arm), tuple(parts))
 
 
-def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
-    """Return the corners (v, components) of one thruster's polygon, in order."""
+def _thruster_corners(thruster: Thruster, sides: int, where: str) -> Matrix:
+    """Return the corner forces (v, components) of one thruster's limits, in order."""
     if thruster.sector_rad is not None:
         found = f"a sector of {thruster.name}"
         raise InputError(where, "thrusters.sector_deg", found, "none for limits = attainable")
@@ -82,14 +84,14 @@ def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
     return thruster.thrust_N * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-def _edges(corners: Matrix) -> Matrix:
-    """Return directions of the edges (e, 3) of a part, of unit length, each once."""
+def _edge_directions(corners: Matrix) -> Matrix:
+    """Return the unit directions (e, 3) of a polygon's edges, parallel ones once."""
     along = np.roll(corners, -1, axis=0) - corners
-    return _distinct(along / np.linalg.norm(along, axis=1, keepdims=True))
+    return _remove_parallel(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _distinct(directions: Matrix) -> Matrix:
-    """Return unit vectors (k, 3) less those that repeat another or its opposite."""
+def _remove_parallel(directions: Matrix) -> Matrix:
+    """Return unit vectors (k, 3) without those parallel to an earlier one."""
     first = np.argmax(np.abs(directions) > 1e-6, axis=1)
     sign = np.sign(directions[np.arange(len(directions)), first])
     turned = directions * sign[:, np.newaxis]

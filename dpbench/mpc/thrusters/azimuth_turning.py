@@ -18,7 +18,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.condensed_qp import CondensedQP, Form
+from dpbench.mpc.condensed_qp import CondensedOptions, CondensedQP
 from dpbench.mpc.move_limits import ThrusterLimit
 from dpbench.mpc.soft_limits import ConstraintBlock
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
@@ -30,7 +30,7 @@ LEAST = 0.05  # Share of its thrust that an azimuth which hardly pushes is turne
 
 @dataclass(frozen=True, eq=False)
 class AzimuthTurning:
-    """Azimuths of a ship with a known turning rate.
+    """Turning limits of a ship's azimuth thrusters with a known turning rate.
 
     x : (a,) index of X of each in f; Y is behind it. arc : (a,) ω ΔT [rad], the turn in a sample;
     least_N : (a,) 0.05 T [N].
@@ -42,7 +42,7 @@ class AzimuthTurning:
 
     @classmethod
     def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
-        """Select the thrusters of a ship that have a turning rate."""
+        """Select the thrusters of a ship that have a known turning rate."""
         pairs = zip(thrusters.thrusters, thrusters.slices, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
         rates = [t.turning_radps or 0.0 for t, _ in turning]
@@ -53,13 +53,13 @@ class AzimuthTurning:
         )
 
     def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
+        """Return cosine, sine and largest change across each azimuth in a sample [N]: (a,) each."""
         parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
-        c, s, most = np.array([_direction(*part) for part in parts]).reshape(-1, 3).T
+        c, s, most = np.array([_azimuth_direction(*part) for part in parts]).reshape(-1, 3).T
         return c, s, most
 
     def limit_move(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
-        """Return the move (n_f,) cut to the limits of rate and turning from f on."""
+        """Return the force changes (n_f,) cut to the limits of thrust rate and turning rate."""
         c, s, most = self.directions(f)
         x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
         radial = np.clip(c * x + s * y, -unit, unit)
@@ -75,19 +75,20 @@ class AzimuthTurning:
 
 
 class TurningLimit(ThrusterLimit):
-    """Limits thrusters as `ThrusterLimit`, and their azimuths to their turning rate."""
+    """Limiter of thruster force changes that also limits the turning rate of azimuths."""
 
     def __init__(self, rows: ThrusterRows, du_max: Vector, turning: AzimuthTurning) -> None:
         super().__init__(rows, du_max)
         self._turning = turning
 
-    def _at_rate(self, u: Vector, du: Vector) -> Vector:
-        return self._turning.limit_move(u, super()._at_rate(u, du), self._du_max)
+    def _limit_rate(self, u: Vector, du: Vector) -> Vector:
+        """Return the force changes du (n_f,) cut to the limits of thrust rate and turning rate."""
+        return self._turning.limit_move(u, super()._limit_rate(u, du), self._du_max)
 
 
 @njit(cache=True, error_model="numpy")
-def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Return parts of n along X and Y, and the most across, of one azimuth."""
+def _azimuth_direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Return cosine and sine of an azimuth's direction, and the largest change across it [N]."""
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
     # Below it a direction is rounding, and what is squared is lost.
@@ -95,13 +96,13 @@ def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # c
 
 
 class TurningQP(CondensedQP):
-    """The problem of thrusters whose azimuths turn at a limited rate; each step brings A.
+    """Builder of the condensed QP for azimuths with a limited turning rate; A changes each step.
 
     Arguments as for `CondensedQP`, of thrusters; turning : the azimuths, also an attribute.
     """
 
     def __init__(
-        self, problem: ControlProblem, turning: AzimuthTurning, **form: Unpack[Form]
+        self, problem: ControlProblem, turning: AzimuthTurning, **form: Unpack[CondensedOptions]
     ) -> None:
         self.turning = turning
         super().__init__(problem, **form)
@@ -113,7 +114,7 @@ class TurningQP(CondensedQP):
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
-        """Return two rows an azimuth, with directions and limits of a thruster at zero."""
+        """Return two rows per azimuth, along and across it, as they are at zero force."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
         moves = np.zeros((N_c, 2 * a, N_c, n_u))
@@ -129,7 +130,7 @@ class TurningQP(CondensedQP):
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
+        """Return the QP of one step, with turning rows in the directions of the forces u_prev."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
         _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)
@@ -147,7 +148,7 @@ def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def]
     rows, block = A.shape[0] // N_c, A.shape[1] // N_c
     for j in range(table.shape[1]):
         at, radial = int(table[X, j]), table[RADIAL, j]
-        c, s, most = _direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
+        c, s, most = _azimuth_direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
         across = most / table[UNIT, j]
         for i in range(N_c):
             r, x = i * rows + int(table[FIRST, j]), i * block + at

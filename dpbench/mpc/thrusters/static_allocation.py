@@ -30,12 +30,11 @@ NEVER = 2.0  # A limit no thruster reaches: in units of its nominal thrust it gi
 
 
 class StaticAllocation:
-    """The QPs of one ship, all of one shape.
+    """Builder of the QPs that test whether thrusters can balance a static load.
 
-    thrusters : p of them; their own sectors are ignored, as pieces carry them. sides : of the
-    polygon
-    of an azimuth, even. sectors : (p,) whether any piece of a thruster has a sector; chords : (p,)
-    the most chords any piece of it has.
+    thrusters : p of them; their own sectors are ignored, as pieces carry them.
+    sides : of the polygon of an azimuth, even.
+    sectors, chords : (p,) whether any piece of a thruster has a sector, and its most chords.
     """
 
     def __init__(
@@ -49,14 +48,13 @@ class StaticAllocation:
         self.units = compute_balance_units(thrusters)
         self._balance = build_balance_matrix(thrusters)
 
-    def qp(
+    def build_qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
-        """Return the QP of one load.
+        """Return the allocation QP of one static load, for chosen convex pieces and lost thrusters.
 
-        load : (3,) mean load times its factor [N, N, N·m]; shares : (p,) effective over nominal
-        thrust;
-        chosen : (p,) the piece of each thruster; lost : numbers of those that give nothing.
+        load : (3,) mean load times its factor [N, N, N·m]; chosen : (p,) a piece of each thruster;
+        shares : (p,) effective over nominal thrust; lost : indices of those that give nothing.
         """
         T, rows = self._thrusters.thrust_N, self._rows
         given = [i not in lost for i in range(len(T))]
@@ -73,7 +71,7 @@ class StaticAllocation:
     def _sector_and_chord_rows(
         self, i: int, piece: Piece, share: float
     ) -> tuple[Matrix, Vector, Vector]:
-        """Return rows, lower and upper limits of the sector and chords of thruster i."""
+        """Return rows, lower and upper limits of the sector and chords of one azimuth."""
         count = self._extra[i]
         normals = np.tile([1.0, 0.0], (count, 1))
         low, high = np.full(count, -NEVER), np.full(count, NEVER)
@@ -91,7 +89,7 @@ class StaticAllocation:
 
 
 class LossAllocation:
-    """QPs by which thrusters make a force after a loss: one P, q and A, whatever is lost.
+    """Builder of the QPs that allocate a force after thruster losses, with constant matrices.
 
         min ½ Σ |f_i/T_i|²   subject to   T_e f = τ,   low ≤ G f ≤ high,   lost ones f_i = 0
 
@@ -107,12 +105,12 @@ class LossAllocation:
         self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
-        """Return l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under row limits (K, r) [N]."""
+        """Return row limits (K, 3 + r) for K forces (K, 3) and thruster limits (K, r) [N]."""
         balance = force / self._units
         return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
     def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
-        """Return the QP of limits (3 + r,)."""
+        """Return the allocation QP with row limits l and u (3 + r,)."""
         n = self._A.shape[1]
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
 
@@ -123,13 +121,13 @@ def compute_sector_normals(start: float, end: float) -> Matrix:
 
 
 def compute_balance_units(thrusters: ThrusterSet) -> Vector:
-    """Return (3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
+    """Return the units (3,) of the force balance: ΣT [N], ΣT [N], ΣT times longest arm [N·m]."""
     total = float(thrusters.thrust_N.sum())
     return np.array([total, total, total * thrusters.longest_arm_m])
 
 
 def build_balance_matrix(thrusters: ThrusterSet) -> Matrix:
-    """Return T_e T over `compute_balance_units`: (3, n_f)."""
+    """Return the scaled matrix (3, n_f) from relative thruster forces to force and moment."""
     thrust = thrusters.per_entry(thrusters.thrust_N)
     matrix: Matrix = thrusters.T_e * thrust / compute_balance_units(thrusters)[:, np.newaxis]
     return matrix

@@ -21,14 +21,14 @@ _SHIFT = 53
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dyadic:
-    """Array of exact numbers whole·2^exponent."""
+    """Array of exact dyadic numbers: Python integers times one power of two."""
 
     whole: Whole
     exponent: int
 
     @classmethod
     def of(cls, array: Floats) -> Dyadic:
-        """Return the exact value of a finite float64 array."""
+        """Convert a finite float64 array to exact dyadic numbers."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
         used = digits != 0
@@ -40,14 +40,14 @@ class Dyadic:
 
     @property
     def T(self) -> Dyadic:
-        """Transpose."""
+        """Transposed array."""
         return Dyadic(self.whole.T, self.exponent)
 
     def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
     def at(self, exponent: int) -> Whole:
-        """Return the integers of the same numbers at a smaller (or equal) exponent."""
+        """Return the integers that represent the same numbers at a smaller exponent."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
     def __add__(self, other: Dyadic) -> Dyadic:
@@ -72,22 +72,22 @@ class Dyadic:
         return Dyadic(np.asarray(self.whole @ other.whole, dtype=object), exponent)
 
     def sum(self) -> Dyadic:
-        """Return the sum of all entries, as an array without axes."""
+        """Return the exact sum of all entries."""
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 
     def signs(self) -> NDArray[np.int8]:
-        """Return −1, 0 or 1 per entry."""
+        """Return the sign of each entry: −1, 0 or 1."""
         return np.asarray(np.sign(self.whole), dtype=np.int8)
 
     def floats(self) -> Vector:
-        """Return the nearest float64 of each entry."""
+        """Return each entry rounded to the nearest float64."""
         up, down = 1 << max(self.exponent, 0), 1 << max(-self.exponent, 0)
         values = [(number * up) / down for number in self.whole.ravel().tolist()]
         return np.array(values, dtype=np.float64).reshape(self.whole.shape)
 
 
 def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
-    """Return M⁻¹ rhs as numerators (N, k) and a positive denominator; None for a zero minor.
+    """Solve M x = rhs exactly in integers; None where a leading minor is zero.
 
     M (N, N) must have non-zero leading minors unless it is singular, as a KKT matrix with positive
     definite cost has, so that no pivoting is needed; rhs (N, k).
@@ -112,7 +112,7 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
 
 
 def is_semidefinite(S: Whole) -> bool:
-    """Return whether a symmetric integer matrix is positive semidefinite, exactly.
+    """Return whether a symmetric integer matrix is positive semidefinite, in exact arithmetic.
 
     Symmetric elimination: a negative pivot refutes it, and so does a zero pivot whose row is not
     zero (Golub and Van Loan, Matrix Computations, 4.2.8).

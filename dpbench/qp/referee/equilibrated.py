@@ -21,7 +21,7 @@ RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 wh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
-    """Factors of one P and A: D (n,), R (N,) of the rows of C, and c."""
+    """Equilibration factors D (n,), R (N,) and c, powers of two, of a QP's matrices P and C."""
 
     D: Vector
     R: Vector
@@ -29,7 +29,7 @@ class Scales:
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> Scales:
-        """Find the factors that equilibrate a symmetric P (n, n) and C = [A; I] (N, n)."""
+        """Compute the equilibration factors of P (n, n) and C (N, n) by Ruiz's method."""
         n = len(P)
         A = np.abs(C[:-n])
         D, R = np.ones(n), np.ones(len(A))
@@ -39,46 +39,47 @@ class Scales:
                 np.maximum(rows.max(axis=0, initial=0.0), cost.max(axis=0, initial=0.0))
             )
             R = R / _positive_root(rows.max(axis=1, initial=0.0))
-        D, R = _nearest_power(D), _nearest_power(R)
+        D, R = _power_of_two(D), _power_of_two(R)
         largest = float((np.abs(P) * D[:, np.newaxis] * D).max(initial=0.0))
-        return cls(
-            D, np.concatenate((R, 1.0 / D)), float(_nearest_power(np.array(1.0 / (largest or 1.0))))
-        )
+        cost_scale = float(_power_of_two(np.array(1.0 / (largest or 1.0))))
+        return cls(D, np.concatenate((R, 1.0 / D)), cost_scale)
 
     def cost_matrix(self, P: Matrix) -> Matrix:
-        """Return P' (n, n)."""
+        """Return the equilibrated cost matrix c D P D (n, n)."""
         return self.cost * P * self.D[:, np.newaxis] * self.D
 
     def rows(self, C: Matrix) -> Matrix:
-        """Return C' (N, n), whose last rows are the identity again."""
+        """Return the equilibrated constraint rows R C D (N, n)."""
         return C * self.R[:, np.newaxis] * self.D
 
     def problem(self, problem: JointQP, P: Matrix, C: Matrix) -> JointQP:
-        """Return the vectors of `problem` in the new units, with P' and C'."""
+        """Return a problem with equilibrated vectors, and the equilibrated matrices P and C."""
         q = self.cost * problem.q * self.D
         return JointQP(P, q, C, problem.L * self.R, problem.U * self.R)
 
     def multipliers(self, y: Vector) -> Vector:
-        """Return y (N,) in the units of the problem as posed."""
+        """Convert multipliers y (N,) of the equilibrated problem to those of the original."""
         return y * self.R / self.cost
 
 
 def is_scalable(*arrays: Matrix) -> bool:
-    """Return whether scaling by moderate powers of two leaves every finite entry exact."""
+    """Return whether all finite entries stay exact when scaled by moderate powers of two."""
     sizes = np.concatenate([np.abs(array[np.isfinite(array)]).ravel() for array in arrays])
     sizes = sizes[sizes > 0.0]
     return not len(sizes) or bool(sizes.max() < RANGE and sizes.min() > 1.0 / RANGE)
 
 
 def equilibrate_diagonal(P: Matrix) -> Matrix:
-    """Return D P D with a diagonal of about 1, definite exactly where P (n, n) is."""
-    D = _nearest_power(1.0 / _positive_root(np.diagonal(P)))
+    """Return P (n, n) scaled by powers of two to a diagonal of about 1."""
+    D = _power_of_two(1.0 / _positive_root(np.diagonal(P)))
     return np.asarray(P * D[:, np.newaxis] * D, dtype=np.float64)
 
 
 def _positive_root(size: Vector) -> Vector:
+    """Return the square roots of the sizes, 1 where a size is zero."""
     return np.sqrt(np.where(size > 0.0, size, 1.0))
 
 
-def _nearest_power(size: Vector) -> Vector:
+def _power_of_two(size: Vector) -> Vector:
+    """Return the nearest power of two of each positive number."""
     return np.asarray(np.exp2(np.round(np.log2(size))), dtype=np.float64)

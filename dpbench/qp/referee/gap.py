@@ -29,7 +29,7 @@ NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly activ
 
 
 def find_met_limits(problem: JointQP, z: Vector) -> Signs:
-    """Return the limits that z meets, or oversteps, to within rounding."""
+    """Return the signs (N,) of the limits that z meets or violates, to within rounding."""
     value = problem.C @ z[: len(problem.q)]
     near = NEAR * (1.0 + np.abs(value))
     upper, lower = problem.U - value <= near, value - problem.L <= near
@@ -37,7 +37,7 @@ def find_met_limits(problem: JointQP, z: Vector) -> Signs:
 
 
 def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
-    """Restrict `signs` to linearly independent rows of C, those in `first` taken first."""
+    """Select linearly independent rows of C among `signs` ≠ 0, preferring those in `first`."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]
     basis = np.zeros((0, n))
@@ -58,18 +58,17 @@ def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
 def gap_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inverse: Matrix
 ) -> Proof | None:
-    """Certify the optimum by the gap at a refined point on the rows of `system`.
+    """Certify an optimum by its duality gap at an exactly feasible point, or return None.
 
     system : a `proven` system of all rows that may be active; inverse (n, n) : entrywise upper
-    bounds
-    of |P⁻¹|, P positive definite. None where no feasible z is found this way, as with equality-like
-    rows (see `last_resort`).
+    bounds of |P⁻¹|, P positive definite. None where no feasible z is found this way, as with
+    equality-like rows (see `last_resort`).
     """
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
     target = Dyadic.of(limits) + inward
-    refined = refine(problem, exact, system, target)
+    refined = refine_exactly(problem, exact, system, target)
     if refined is None:
         return None
     z, lam = refined
@@ -91,10 +90,10 @@ def gap_certificate(
     return Proof(nearest, y, (radius + rounding) * OUTWARD, "gap")
 
 
-def refine(
+def refine_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
-    """Solve K_W [z; λ] = [−q; target] to some units of 2^LAST_BIT; None if that fails."""
+    """Solve the KKT system K_W [z; λ] = [−q; target] by iterative refinement in exact numbers."""
     n = system.n
     G, q = exact.C[system.rows], Dyadic.of(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)
@@ -114,7 +113,7 @@ def refine(
 
 
 def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
-    """Express the step in integer multiples of 2^LAST_BIT."""
+    """Convert a step to integer multiples of 2^LAST_BIT."""
     digits = Dyadic.of(step)
     shift = digits.exponent - LAST_BIT
     if shift >= 0:
@@ -123,6 +122,7 @@ def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
 
 
 def _is_feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
+    """Return whether a point satisfies all limits, in exact arithmetic."""
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
     over = value[upper] - Dyadic.of(problem.U[upper])

@@ -22,7 +22,7 @@ Signs = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointQP:
-    """A QP with P (n, n), q (n,), C (N, n), L and U (N,)."""
+    """QP with rows and bounds joined: P (n, n), q (n,), C = [A; I] (N, n), limits L and U (N,)."""
 
     P: Matrix
     q: Vector
@@ -32,13 +32,13 @@ class JointQP:
 
     @classmethod
     def of(cls, qp: QuadraticProgram) -> JointQP:
-        """Return the joint form of `qp`."""
+        """Join the rows and bounds of a QP."""
         return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.limits())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proof:
-    """A point with a rigorous bound of max_i |z_i − z*_i|; multipliers y (N,) of the rows of C."""
+    """Certified point with a rigorous error bound max_i |z_i − z*_i| and multipliers."""
 
     z: Vector
     y: Vector
@@ -48,12 +48,12 @@ class Proof:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactMatrices:
-    """Finite constant matrices of a joint QP in exact arithmetic."""
+    """Matrices P and C of a joint QP in exact arithmetic."""
 
     P: Dyadic
     C: Dyadic
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
-        """Return exact copies of P and C."""
+        """Convert the matrices P and C to exact arithmetic."""
         return cls(Dyadic.of(P), Dyadic.of(C))

@@ -20,7 +20,7 @@ By hand, 1 − 3·x at the float64 number next to ⅓, x = ⅓ − 2⁻⁵⁴/3:
 has no residual. The product's error is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
 
 >>> third, r = np.array([1 / 3]), np.empty(1)
->>> _residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
+>>> _write_residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
 >>> float(1.0 - 3.0 * third[0]), float(r[0]) * 2**54
 (0.0, 1.0)
 
@@ -29,7 +29,7 @@ within the rounding of the bound:
 
 >>> K, X_T, ones = np.array([[3.0]]), np.array([[1 / 3]]), np.ones(1)
 >>> x, error = np.zeros(1), np.zeros(1)
->>> _enclose.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
+>>> _enclose_solution.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
 >>> bool(x[0] == third[0]), round(float(error[0]) * 3 * 2**54, 9)
 (True, 1.0)
 """
@@ -54,7 +54,7 @@ cached_njit = njit(cache=True, error_model="numpy")
 
 @inlined_njit
 def add_columns(columns, x, total):
-    """Add Σ columns[j] · x[j] to total."""
+    """Add the matrix-vector product Σ columns[j]·x[j] to total."""
     for j in range(len(x)):
         factor = x[j]
         for i in range(len(total)):
@@ -62,8 +62,8 @@ def add_columns(columns, x, total):
 
 
 @inlined_njit
-def _add_sizes(columns, x, total):
-    """Add Σ |columns[j]| · |x[j]| to total."""
+def _add_absolute_columns(columns, x, total):
+    """Add the product of absolute values Σ |columns[j]|·|x[j]| to total."""
     for j in range(len(x)):
         factor = abs(x[j])
         for i in range(len(total)):
@@ -71,8 +71,8 @@ def _add_sizes(columns, x, total):
 
 
 @inlined_njit
-def _residual(K, x, b, r):
-    """Write r (N,) = b − K x of a symmetric K, summed in twice the precision and rounded once."""
+def _write_residual(K, x, b, r):
+    """Write r (N,) = b − K x of a symmetric K, in twice the working precision."""
     N = len(b)
     lost = np.zeros(N)
     for i in range(N):
@@ -99,8 +99,8 @@ def _residual(K, x, b, r):
 
 
 @inlined_njit
-def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
-    """Write x (N,) = K⁻¹ rhs, and a rigorous bound of its error; both zero before.
+def _enclose_solution(K, X_T, weight, alpha, gamma, rhs, x, error):
+    """Write x (N,) = K⁻¹ rhs and a rigorous bound of its error.
 
     By |K⁻¹b − x| ≤ e + α/(1−α) · max_i(e_i/d_i) · d,  e ≥ |X(b − Kx)|, as in `kkt`.
     """
@@ -112,15 +112,15 @@ def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
         for i in range(N):
             x[i] += change[i]
             change[i] = 0.0
-        _residual(K, x, rhs, r)
+        _write_residual(K, x, rhs, r)
         add_columns(X_T, r, change)
     for i in range(N):
         size[i] = abs(rhs[i])
-    _add_sizes(K, x, size)
+    _add_absolute_columns(K, x, size)
     # The rounding of r, of X r, and of r itself as a share of it.
     for i in range(N):
         size[i] = gamma * gamma * size[i] + gamma * abs(r[i]) + UNDERFLOW
-    _add_sizes(X_T, size, error)
+    _add_absolute_columns(X_T, size, error)
     largest = 0.0
     for i in range(N):
         error[i] = (abs(change[i]) + error[i]) * OUTWARD
@@ -132,6 +132,7 @@ def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
 
 @inlined_njit
 def _are_finite(numbers):
+    """Return whether all numbers are finite."""
     good = True
     for number in numbers:
         good &= np.isfinite(number)
@@ -139,8 +140,8 @@ def _are_finite(numbers):
 
 
 @inlined_njit
-def _is_proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
-    """Return whether multipliers and slacks exceed their doubts; equal limits allow either sign."""
+def _is_optimal(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
+    """Return whether multipliers and slacks exceed their error bounds, so that their signs hold."""
     for k in range(len(rows)):
         i = rows[k]
         if L[i] != U[i] and not signs[k] * lam[k] > lam_doubt[k]:
@@ -153,7 +154,7 @@ def _is_proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
 
 @cached_njit
 def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
-    """Test whether the active set of K is proven to be that of the problem; `linear_certificate`.
+    """Test whether the active set of a KKT system is proven optimal; compute point and bounds.
 
     Returns the bound of the error of z, inf where nothing is proven; x (n+w,) the point and its
     multipliers with bounds of their errors; y (N,) the multipliers row by row.
@@ -171,16 +172,16 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
         if not np.isfinite(rhs[n + k]):
             return np.inf, x, error, y
     z, lam, z_error, lam_error = x[:n], x[n:], error[:n], error[n:]
-    _enclose(K, X_T, weight, alpha, gamma_K, rhs, x, error)
+    _enclose_solution(K, X_T, weight, alpha, gamma_K, rhs, x, error)
     # Rounding of C z and of the final subtraction, and what z itself is uncertain by.
     add_columns(C_T, z, value)
     for j in range(n):
         rhs[j] = z_error[j] + gamma_C * abs(z[j])
-    _add_sizes(C_T, rhs[:n], doubt)
+    _add_absolute_columns(C_T, rhs[:n], doubt)
     for i in range(N):
         doubt[i] = (doubt[i] + UNIT * abs(value[i])) * OUTWARD
     if not (
-        _are_finite(error) and _is_proven(L, U, rows, signs, lam, lam_error, value, doubt, held)
+        _are_finite(error) and _is_optimal(L, U, rows, signs, lam, lam_error, value, doubt, held)
     ):
         return np.inf, x, error, y
     bound = 0.0
@@ -193,7 +194,7 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
 
 @cached_njit
 def classify_limits(q, L, U):
-    """Classify q and the limits as `ORDERED_LIMITS`, `CROSSED_LIMITS` or `INVALID_DATA`."""
+    """Classify q and limits: ordered, crossed (some L > U) or invalid (NaN)."""
     if not _are_finite(q):
         return INVALID_DATA
     code = ORDERED_LIMITS

@@ -23,12 +23,12 @@ from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, linear_kernel
 
 
 def gamma(k: int) -> float:
-    """Return γ_k = k·u / (1 − k·u)."""
+    """Return the rounding-error factor γ_k = k·u / (1 − k·u) of k operations."""
     return k * UNIT / (1.0 - k * UNIT)
 
 
 class KKTSystem:
-    """KKT matrix of the rows `signs` ≠ 0 of C and a symmetric P, with a verified inverse.
+    """KKT matrix of an active set, with an inverse verified against rounding.
 
     rows (w,), signs (w,) : active rows of C and their sides (+1 upper); X (n+w, n+w) : approximate
     inverse, X_T : its columns as rows; alpha : proven bound of ‖I − XK‖ in the norm weighted by
@@ -64,23 +64,23 @@ class KKTSystem:
 
     @property
     def proven(self) -> bool:
-        """Return whether K is proven non-singular (and X a good inverse)."""
+        """Return whether the KKT matrix is proven non-singular."""
         return self.alpha < 0.5
 
     def rhs(self, q: Vector, L: Vector, U: Vector) -> Vector:
-        """Return [−q; b_W] (n+w,), b_W the limits the rows are active at."""
+        """Return the right-hand side [−q; b_W] (n + w,), b_W the active limits."""
         return np.concatenate((-q, np.concatenate((U, L))[self.limits]))
 
     def inverse_bounds(self) -> Matrix:
-        """Return entrywise bounds of |K⁻¹|: |X| + α/(1−α) · d · max_j(|X_ji|/d_j)."""
+        """Return rigorous entrywise upper bounds of |K⁻¹|."""
         X = np.abs(self.X)
         column = (X / self.weight[:, np.newaxis]).max(axis=0)
         spread = self.alpha / (1.0 - self.alpha)
         return (X + spread * np.outer(self.weight, column)) * OUTWARD
 
 
-def positive_definite(P: Matrix) -> bool:
-    """Return whether P is proven positive definite by a Cholesky factorisation of P − cI.
+def is_positive_definite(P: Matrix) -> bool:
+    """Return whether P is proven positive definite, rounding included.
 
     Rump, BIT 46 (2006), theorem 2.3: if it runs to completion with c ≥ γ_{n+1}/(1−γ_{n+1})·tr(P),
     every eigenvalue of P is positive.
@@ -96,7 +96,7 @@ def positive_definite(P: Matrix) -> bool:
 
 
 class Geometry:
-    """C by columns and the rounding constant of C z, for bounds of slacks."""
+    """Rows C by columns with a rounding constant, to bound the error of slacks."""
 
     def __init__(self, C: Matrix) -> None:
         self.C_T = np.ascontiguousarray(C.T)
@@ -104,7 +104,7 @@ class Geometry:
 
 
 def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Proof | None:
-    """Certify the optimum, if the active set of `system` is proven to be that of `problem`.
+    """Certify an optimum whose active set is beyond doubt, or return None.
 
     `system` must be `proven` and of the problem's matrices, P positive semidefinite and L ≤ U.
     """

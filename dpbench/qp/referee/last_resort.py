@@ -40,12 +40,18 @@ from scipy.optimize import linprog, nnls
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
-from dpbench.qp.referee.feasibility.implied import drop_empty_rows, tighten_implied
-from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine, select_independent
+from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
+from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine_exactly, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, gamma, linear_certificate, positive_definite
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.kkt import (
+    Geometry,
+    KKTSystem,
+    gamma,
+    is_positive_definite,
+    linear_certificate,
+)
+from dpbench.qp.referee.oracle import guess_active_sets
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most
@@ -54,8 +60,8 @@ AMOUNT_BITS = 20  # Inward amounts are multiples of 2^−AMOUNT_BITS·τ
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Enclosed:
-    """A point z (n,) with a rigorous bound of |z_j − z*_j| (n,) and multipliers y (N,)."""
+class EnclosedPoint:
+    """Point z (n,) with a rigorous error bound for each variable, and multipliers y (N,)."""
 
     z: Vector
     y: Vector
@@ -64,7 +70,7 @@ class Enclosed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NearPoint:
-    """z~, λ of the rows of the system, and e (n,): a feasible ẑ exists within z~ ± e."""
+    """Exact point z, λ and slacks, with a bound e (n,) of its distance to a feasible point."""
 
     z: Dyadic
     lam: Dyadic
@@ -74,8 +80,8 @@ class _NearPoint:
 
 def enclosure_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector, *, convex: bool
-) -> Enclosed | None:
-    """Enclose the minimisers of `problem`, from the rows of `system`.
+) -> EnclosedPoint | None:
+    """Enclose all optima of a QP with equality rows or singular P; None without proof.
 
     system : a `proven` system of independent rows, all equality-like rows among them.
     inward : (w,) how far its rows are held inside their limits, in units of 2^TAU_EXPONENT; 0 for
@@ -91,42 +97,43 @@ def enclosure_certificate(
     lam = Dyadic(np.where(keep, near.lam.whole, 0), near.lam.exponent)
     size = np.abs(lam.floats())
     support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
-    inverse = _inverse_bounds(problem, rows[support], rows[equal], convex=convex)
+    inverse = _bound_penalised_inverse(problem, rows[support], rows[equal], convex=convex)
     if inverse is None:
         return None
-    weight = _row_weight(problem.P)
+    weight = _penalty_weight(problem.P)
     omega = float((weight / size[support & ~equal] ** 2).sum()) * OUTWARD
     slack = np.abs(near.slack.floats()) + np.abs(problem.C[rows]) @ near.e
     gap = float((size * slack)[~equal].sum()) * OUTWARD
     r = exact.P @ near.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
     r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ near.e) * OUTWARD
-    x = _error_radius(float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD, gap, omega)
-    if x is None:
+    rho = float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD
+    if not omega * rho**2 * OUTWARD <= 0.25:
         return None
+    x = (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
     z = near.z.floats()
     # z.floats() is off by half a unit in the last place at most.
     bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
     y[rows] = lam.floats()
-    return Enclosed(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
+    return EnclosedPoint(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
 
 
 def _find_feasible(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector
 ) -> _NearPoint | None:
-    """Refine a point and prove that a feasible one is near, or return None."""
+    """Refine a point and prove that a feasible one is near; None without proof."""
     rows, n = system.rows, system.n
     limits = Dyadic.of(np.concatenate((problem.U, problem.L))[system.limits])
     amounts = np.round(inward * 2.0**AMOUNT_BITS) * -system.signs
     shift = Dyadic.of(amounts)
     target = limits + Dyadic(shift.whole, shift.exponent + TAU_EXPONENT - AMOUNT_BITS)
-    if (refined := refine(problem, exact, system, target)) is None:
+    if (refined := refine_exactly(problem, exact, system, target)) is None:
         return None
     z, lam = refined
     equal = problem.L[rows] == problem.U[rows]
     value = exact.C @ z
     slack = limits - value[rows]
-    e = _distance_bound(problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].floats())
+    e = _bound_distance(problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].floats())
     others = problem.L != problem.U
     if e is None or not _is_inside(problem, value, np.abs(problem.C) @ e * OUTWARD, others):
         return None
@@ -136,8 +143,8 @@ def _find_feasible(
     return _NearPoint(z, lam, slack, e)
 
 
-def _distance_bound(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
-    """Return e (n,), or None where C B is not proven to be near the identity."""
+def _bound_distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
+    """Return a bound (n,) of the distance to a point that satisfies equality rows C, or None."""
     if not len(C):
         return np.zeros(C.shape[1])
     identity = np.eye(len(C))
@@ -151,7 +158,7 @@ def _distance_bound(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
 
 
 def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
-    """Return whether the values of these rows of C satisfy their limits by at least `doubt`."""
+    """Return whether some rows of C satisfy their limits with a margin of at least `doubt`."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
         slack = Dyadic.of(limit[there]) - value[there]
@@ -161,14 +168,14 @@ def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> b
     return True
 
 
-def _row_weight(P: Matrix) -> float:
-    """Return the weight of a row of size 1 in M."""
+def _penalty_weight(P: Matrix) -> float:
+    """Return the weight w of the rows in the matrix M = P + w CᵀC."""
     return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
-def _lower_bound_of_M(P: Matrix, C: Matrix) -> Matrix:
-    """Return a matrix at most P + w CᵀC in the order of symmetric ones, rounding included."""
-    w = _row_weight(P)
+def _penalised_lower_bound(P: Matrix, C: Matrix) -> Matrix:
+    """Return a matrix that is provably at most P + w CᵀC, rounding included."""
+    w = _penalty_weight(P)
     M = P + w * (C.T @ C)
     size = np.abs(P) + w * (np.abs(C).T @ np.abs(C))
     lost = gamma(len(C) + 4) * float(size.sum(axis=1).max())
@@ -176,25 +183,19 @@ def _lower_bound_of_M(P: Matrix, C: Matrix) -> Matrix:
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
 
 
-def _inverse_bounds(
+def _bound_penalised_inverse(
     problem: JointQP, support: Indices, equal: Indices, *, convex: bool
 ) -> Matrix | None:
-    """Return entrywise upper bounds of |M⁻¹| with the rows `support` in M, or None."""
+    """Return entrywise upper bounds of |(P + w CᵀC)⁻¹| for the rows `support`, or None."""
     P, C = problem.P, problem.C
-    if not convex and not positive_definite(_lower_bound_of_M(P, C[equal])):
+    if not convex and not is_positive_definite(_penalised_lower_bound(P, C[equal])):
         return None
-    M = _lower_bound_of_M(P, C[support])
-    if not positive_definite(M):
+    M = _penalised_lower_bound(P, C[support])
+    if not is_positive_definite(M):
         return None
     n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
     return system.inverse_bounds() if system.proven else None
-
-
-def _error_radius(rho: float, gap: float, omega: float) -> float | None:
-    if not omega * rho**2 * OUTWARD <= 0.25:
-        return None
-    return (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
 
 
 PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)  # Weights of the proximal term where P is singular
@@ -206,31 +207,30 @@ LARGEST = 1e6  # Inward amounts beyond it would need more room than the limits m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
-    """An active set, and its point where that is not the one of its KKT system."""
+class _SetGuess:
+    """Guessed active set, and its point where that is known."""
 
     signs: Signs
     z: Vector | None
 
 
 class LastResort:
-    """Certifies QPs of one P and C = [A; I]; not to be shared between threads."""
+    """Last certificate for QPs of one P and C: equilibrated, with enclosed equality rows."""
 
     def __init__(self, P: Matrix, C: Matrix, *, convex: bool) -> None:
         self._scales = Scales.of(P, C)
         self._safe = is_scalable(P, C)
         self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
         # It may be proven definite in these units where it is not in the others.
-        self._definite = positive_definite(self._P)
+        self._definite = is_positive_definite(self._P)
         self._convex = convex or self._definite
         self._geometry = Geometry(self._C)
         self._exact: ExactMatrices | None = None
 
     def certify(self, problem: JointQP) -> Proof | None:
-        """Certify the optimum of `problem`, in its own units, or return None.
+        """Certify the optimum of a QP that the other certificates left open, or return None.
 
-        Its multipliers are NaN where implied limits took part, whose multipliers are not the
-        problem's.
+        Its multipliers are NaN where implied limits took part: theirs are not the problem's.
         """
         if not (self._safe and is_scalable(problem.q, problem.L, problem.U)):
             return None
@@ -241,14 +241,14 @@ class LastResort:
         for at in posed:
             scaled = self._scales.problem(at, self._P, self._C)
             for guess in self._guess_sets(scaled):
-                proof, touched = self._prove(scaled, guess)
+                proof, touched = self._prove_guess(scaled, guess)
                 if proof is not None and (best is None or proof.bound < best.bound):
                     implied = at is not posed[0]
                     best = replace(proof, y=np.full_like(proof.y, np.nan)) if implied else proof
                 if best is not None and best.bound <= ENOUGH:
                     return best
                 tighter = (
-                    None if touched is None or len(posed) > 1 else tighten_implied(at, touched)
+                    None if touched is None or len(posed) > 1 else make_equalities(at, touched)
                 )
                 if tighter is not None:
                     posed.append(tighter)
@@ -257,16 +257,17 @@ class LastResort:
             return None
         return best
 
-    def _guess_sets(self, problem: JointQP) -> Iterator[_Guess]:
+    def _guess_sets(self, problem: JointQP) -> Iterator[_SetGuess]:
+        """Yield guesses of the active set, by the proximal point method where P is singular."""
         if self._definite:
-            for signs in guesses(problem):
+            for signs in guess_active_sets(problem):
                 if signs is not None:
-                    yield _Guess(signs, None)
+                    yield _SetGuess(signs, None)
         else:
             yield from self._iterate_proximal(problem)
 
-    def _iterate_proximal(self, problem: JointQP) -> Iterator[_Guess]:
-        """Yield sets of the proximal point method (Rockafellar, SIAM J. Control 14, 1976)."""
+    def _iterate_proximal(self, problem: JointQP) -> Iterator[_SetGuess]:
+        """Yield active sets that the proximal point method finds for a singular P."""
         n = len(problem.q)
         # On the feasible set the squares of equality rows are constant, whatever P is across it.
         E = problem.C[problem.L == problem.U]
@@ -275,20 +276,20 @@ class LastResort:
         z, signs = np.zeros(n), None
         for weight in np.repeat(PROXIMAL, PROXIMAL_STEPS):
             at = replace(problem, P=P_E + weight * np.eye(n), q=q_E - weight * z)
-            answer = next(guesses(at), None)
-            moved = None if answer is None else _solve_set(at, answer)
+            answer = next(guess_active_sets(at), None)
+            moved = None if answer is None else _solve_equality_qp(at, answer)
             if moved is None:
                 break
             before, z, signs = z, moved, answer
             if np.abs(z - before).max() <= SETTLED * (1.0 + np.abs(z).max()):
                 break
         if signs is not None:
-            yield _Guess(signs, z)
-            if (explaining := _explaining_limits(problem, z)) is not None:
-                yield _Guess(explaining, z)
+            yield _SetGuess(signs, z)
+            if (explaining := _find_explaining_limits(problem, z)) is not None:
+                yield _SetGuess(explaining, z)
 
-    def _prove(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
-        """Prove the optimum from a guess; without proof return limits that leave no interior."""
+    def _prove_guess(self, problem: JointQP, guess: _SetGuess) -> tuple[Proof | None, Signs | None]:
+        """Prove the optimum from a guessed active set, or return limits that leave no interior."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
         held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
@@ -298,7 +299,7 @@ class LastResort:
             proof = linear_certificate(problem, self._geometry, system)
             if proof is not None and self._convex:
                 bound = np.full(len(proof.z), proof.bound)
-                return self._unscale(proof.z, proof.y, bound, "linear"), None
+                return self._unscale_proof(proof.z, proof.y, bound, "linear"), None
             z = system.X @ system.rhs(problem.q, problem.L, problem.U)
         if z is None:
             return None, None
@@ -313,16 +314,17 @@ class LastResort:
         enclosed = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
         if enclosed is None:
             return None, None
-        return self._unscale(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
+        return self._unscale_proof(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
 
-    def _unscale(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+    def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+        """Convert a proof in equilibrated units to the units of the problem."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)
 
 
-def _explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
-    """Return independent touched limits whose multipliers of the right sign explain z."""
+def _find_explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
+    """Return touched limits whose multipliers of the right sign balance the gradient at z."""
     touched = find_met_limits(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
@@ -341,7 +343,8 @@ def _explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
     return signs
 
 
-def _solve_set(problem: JointQP, signs: Signs) -> Vector | None:
+def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
+    """Return the minimiser with the rows `signs` held as equalities; None where singular."""
     held = select_independent(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]
@@ -355,7 +358,7 @@ def _solve_set(problem: JointQP, signs: Signs) -> Vector | None:
 
 
 def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
-    """Return how far to hold the rows of `system` inside their limits to meet all touched limits.
+    """Return how far inside its limits to hold each row so that all touched limits are met.
 
     1 for inequality rows where no other row is touched; else by a direction that leads inside all
     of them; None where there is no such direction.

@@ -30,7 +30,7 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 [1, 0]
 >>> x, mu = np.array([3.0, 1.0, -0.5]), np.zeros(2)
 >>> place, signs, both = np.array([-1, 2]), np.array([1, 0]), np.array([0, 1])
->>> _correct.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
+>>> _move_to_set.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
 (True, [1.0, 0.5, 0.0], [2.0, 0.5])
 """
 
@@ -48,7 +48,7 @@ STEPS, MOST = 8, 12
 
 
 def guess_nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
-    """Return the active set at which the method ends from that of a `proven` system, or None."""
+    """Guess the active set by iterating from that of the last step; None if that does not end."""
     signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
     signs[system.rows] = system.signs
     posed = problem.q, problem.L, problem.U, problem.C
@@ -58,13 +58,13 @@ def guess_nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Sig
 
 
 @inlined_njit
-def _limit(L, U, signs, i):
-    """Return the limit a row is active at; 0 where it is not, as its equation is void then."""
+def _active_limit(L, U, signs, i):
+    """Return the limit at which row i is active; 0 where it is not active."""
     return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
 
 
 @inlined_njit
-def _solve(S, b):
+def _solve_in_place(S, b):
     """Solve S x = b in place by Gauss-Jordan elimination; return False where S is singular."""
     for k in range(len(b)):
         best = k
@@ -87,8 +87,8 @@ def _solve(S, b):
 
 
 @inlined_njit
-def _correct(C, L, U, X_T, place, signs, changed, x, mu):
-    """Move x (n+w,) from W to the set `signs`, with mu (k,); return False where that has no point.
+def _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
+    """Update the KKT solution x (n + w,) to the active set `signs`; False where that is singular.
 
     place (N,) : position of the row's equation in K_W, −1 for a row that is not in W.
     changed (k,) : the rows that are in W or in the set, but not in both.
@@ -97,7 +97,7 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
     X_B, S = np.zeros_like(B_T), np.zeros((len(mu), len(mu)))
     for k in range(len(mu)):
         i = changed[k]
-        mu[k] = -_limit(L, U, signs, i)
+        mu[k] = -_active_limit(L, U, signs, i)
         if place[i] >= 0:
             B_T[k, place[i]] = 1.0
         else:
@@ -110,7 +110,7 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
                 S[k, other] += B_T[k, j] * X_B[other, j]
         for other in range(k):
             S[other, k] = S[k, other]
-    if not _solve(S, mu):
+    if not _solve_in_place(S, mu):
         return False
     for k in range(len(mu)):
         for j in range(len(x)):
@@ -119,8 +119,8 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
 
 
 @inlined_njit
-def _exchange(L, U, signs, place, changed, value, x, mu):
-    """Add violated rows, drop those with a multiplier of the wrong sign; return whether any."""
+def _exchange_rows(L, U, signs, place, changed, value, x, mu):
+    """Add violated rows and drop those with wrong multipliers; return whether any changed."""
     multipliers = np.zeros(len(signs))
     for i in range(len(signs)):
         if place[i] >= 0:
@@ -142,7 +142,7 @@ def _exchange(L, U, signs, place, changed, value, x, mu):
 
 @cached_njit
 def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
-    """Update `signs` (N,) from W; return whether the method ends within `STEPS`."""
+    """Update the active set `signs` (N,) in place; return whether it converged within `STEPS`."""
     n, N = len(q), len(L)
     place, changed = np.full(N, -1), np.zeros(N, dtype=np.int64)
     for k in range(len(rows)):
@@ -153,15 +153,15 @@ def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
             rhs[j] = -q[j]
         for i in range(N):
             if place[i] >= 0:
-                rhs[place[i]] = _limit(L, U, signs, i)
+                rhs[place[i]] = _active_limit(L, U, signs, i)
             if (place[i] >= 0) != (signs[i] != 0):
                 changed[count] = i
                 count += 1
         add_columns(X_T, rhs, x)
         mu = np.zeros(count)
-        if count > MOST or not _correct(C, L, U, X_T, place, signs, changed, x, mu):
+        if count > MOST or not _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
             return False
         add_columns(C_T, x[:n], value)
-        if not _exchange(L, U, signs, place, changed, value, x, mu):
+        if not _exchange_rows(L, U, signs, place, changed, value, x, mu):
             return True
     return False

@@ -13,7 +13,7 @@ ACTIVE_MULTIPLIER = 1e-9  # Scaled multipliers above it count as active limits i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimum:
-    """The certified optimum of a QP.
+    """Certified optimum of a QP with a rigorous error bound, or proof of infeasibility.
 
     Parameters
     ----------
@@ -31,15 +31,17 @@ class Optimum:
     kind: Kind
 
     def __repr__(self) -> str:
-        return f"<Optimum of {len(self.z)} variables: {self._proven}>"
+        return f"<Optimum of {len(self.z)} variables: {self._proven_statement}>"
 
     def _repr_html_(self) -> str:
-        fields = {"certificate": f"{self.kind}: {self._proven}"}
+        """Return the certified optimum as an HTML table for notebooks."""
+        fields = {"certificate": f"{self.kind}: {self._proven_statement}"}
         fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
         return fields_html(f"Optimum of {len(self.z)} variables", fields)
 
     @property
-    def _proven(self) -> str:
+    def _proven_statement(self) -> str:
+        """Statement of what is proven, with the error bound, in words."""
         if not np.isfinite(self.bound):
             proofs = {
                 "infeasible": "no point is feasible",

@@ -17,8 +17,8 @@ _EQUALITY = 5  # DAQP's mark of a row that is always active
 _INFEASIBLE = -1  # DAQP's exit flag for an empty feasible set
 
 
-def guesses(problem: JointQP) -> Iterator[Signs | None]:
-    """Yield active sets to try, best first, lazily; None for a set without a feasible point."""
+def guess_active_sets(problem: JointQP) -> Iterator[Signs | None]:
+    """Yield guesses of a QP's active set, best first; None where a solver finds it infeasible."""
     for guess in GUESSERS:
         try:
             yield guess(problem)
@@ -27,6 +27,7 @@ def guesses(problem: JointQP) -> Iterator[Signs | None]:
 
 
 def _guess_by_daqp(problem: JointQP) -> Signs | None:
+    """Return the active set that the solver DAQP finds; None where it claims infeasibility."""
     daqp = import_module("daqp")
     n = len(problem.q)
     m = len(problem.L) - n
@@ -40,11 +41,11 @@ def _guess_by_daqp(problem: JointQP) -> Signs | None:
         return None
     if flag <= 0:
         raise RuntimeError("no answer")
-    return _active_sides(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
+    return _active_signs(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
 
 
 def _guess_by_dual_method(problem: JointQP) -> Signs | None:
-    """Return the last set of the dual active-set method on an orthogonal factorisation.
+    """Return the active set that the dual active-set method ends at.
 
     Its iterations are limited, unlike those of quadprog, which never ends on some rows that depend
     on one another but for rounding.
@@ -54,11 +55,11 @@ def _guess_by_dual_method(problem: JointQP) -> Signs | None:
         return None
     signs = np.zeros(len(problem.L))
     signs[outcome.active] = outcome.side[outcome.active]
-    return _active_sides(problem, signs)
+    return _active_signs(problem, signs)
 
 
-def _active_sides(problem: JointQP, y: Vector) -> Signs:
-    """Return the sides that the multipliers name, where there is a limit; equalities are active."""
+def _active_signs(problem: JointQP, y: Vector) -> Signs:
+    """Return the active set (N,) that the signs of multipliers y name; equalities are active."""
     signs = np.sign(np.nan_to_num(y))
     signs[(signs == 0.0) & (problem.L == problem.U)] = 1.0
     limit = np.where(signs > 0, problem.U, problem.L)

@@ -25,11 +25,11 @@ G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by 
 >>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
 >>> exact = ExactMatrices.of(problem.P, problem.C)
 >>> qp, no_guess = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
->>> active, at = _start(qp, no_guess)
+>>> active, at = _start_active_set(qp, no_guess)
 >>> unit = Fraction(2) ** qp.z_exponent
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
 ['1', '1/2']
->>> _most_violated(qp, at), _add_limit(qp, active, 0, 1), active.rows
+>>> _find_most_violated(qp, at), _add_violated_limit(qp, active, 0, 1), active.rows
 ((0, 1), None, [0])
 >>> at = active.solve(np.zeros(2, dtype=object))
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
@@ -55,7 +55,7 @@ from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _IntegerQP:
-    """The problem in integers; limits are None where infinite."""
+    """QP with all data scaled to integers; limits are None where infinite."""
 
     P: Whole
     q: Whole
@@ -67,22 +67,24 @@ class _IntegerQP:
 
     @classmethod
     def of(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
+        """Convert a QP to integers, with powers of two as units."""
         q = Dyadic.of(problem.q)
         L, U = (Dyadic.of(np.nan_to_num(x, posinf=0.0, neginf=0.0)) for x in (problem.L, problem.U))
         p, c = exact.P.exponent, exact.C.exponent
         e = min(q.exponent - p, L.exponent - c, U.exponent - c)
-        limits = _finite_limits(L.at(c + e), problem.L), _finite_limits(U.at(c + e), problem.U)
+        limits = _mark_infinite(L.at(c + e), problem.L), _mark_infinite(U.at(c + e), problem.U)
         return cls(exact.P.whole, q.at(p + e), exact.C.whole, *limits, e, p + e - c)
 
 
-def _finite_limits(numbers: Whole, given: Vector) -> list[int | None]:
+def _mark_infinite(numbers: Whole, given: Vector) -> list[int | None]:
+    """Return the integer limits as a list, None where the given limit is infinite."""
     finite = np.isfinite(given).tolist()
     return [x if there else None for x, there in zip(numbers.tolist(), finite, strict=True)]
 
 
 @dataclass(slots=True)
-class _Iterate:
-    """Numerators over one positive denominator: x = [z; λ_W] at μ = 0, and its slope in μ."""
+class _ExactPoint:
+    """Exact point and multipliers, and their slopes in μ, over one common denominator."""
 
     point: Whole
     slope: Whole
@@ -90,7 +92,7 @@ class _Iterate:
 
 
 class _ActiveSet:
-    """Rows held at a limit; `side` +1 upper, −1 lower, 0 for an equality-like row."""
+    """Rows held at a limit; side is +1 at the upper, −1 at the lower limit, 0 for equalities."""
 
     def __init__(self, qp: _IntegerQP) -> None:
         self.qp = qp
@@ -98,15 +100,17 @@ class _ActiveSet:
         self.side: list[int] = []
 
     def add(self, row: int, sign: int) -> None:
+        """Add a row at its upper (+1) or lower (−1) limit."""
         self.rows.append(row)
         equal = self.qp.lower[row] == self.qp.upper[row]
         self.side.append(0 if equal else sign)
 
     def drop(self, position: int) -> None:
+        """Remove the row at a position of the set."""
         del self.rows[position], self.side[position]
 
-    def solve(self, gradient: Whole) -> _Iterate | None:
-        """Return the point that holds the rows while the multiplier μ of `gradient` varies."""
+    def solve(self, gradient: Whole) -> _ExactPoint | None:
+        """Solve the KKT system of the held rows exactly; None where it is singular."""
         qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
         K = np.zeros((n + w, n + w), dtype=object)
@@ -119,15 +123,15 @@ class _ActiveSet:
         if solved is None:
             return None
         x, denominator = solved
-        return _Iterate(x[:, 0], x[:, 1], denominator)
+        return _ExactPoint(x[:, 0], x[:, 1], denominator)
 
-    def most_wrong(self, multipliers: Whole) -> int | None:
-        """Return the position of the multiplier of the most wrong sign, if any."""
+    def most_wrong_multiplier(self, multipliers: Whole) -> int | None:
+        """Return the position of the multiplier of the most wrong sign, or None."""
         values = [side * lam for side, lam in zip(self.side, multipliers, strict=True)]
         worst = min(range(len(values)), key=values.__getitem__, default=None)
         return worst if worst is not None and values[worst] < 0 else None
 
-    def first_zero(self, at: _Iterate) -> tuple[Fraction, int] | None:
+    def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
         """Return the smallest μ at which a multiplier reaches zero, and its position."""
         n = len(self.qp.q)
         multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
@@ -139,8 +143,8 @@ class _ActiveSet:
         return min(zeros, default=None)
 
 
-def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
-    """Return row and sign of the limit that the point violates most; None if it is feasible."""
+def _find_most_violated(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | None:
+    """Return row and sign of the limit that the point violates most; None if feasible."""
     value = qp.C @ at.point[: len(qp.q)]
     violation, limit = 0, None
     for row, number in enumerate(value.tolist()):
@@ -152,7 +156,8 @@ def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
     return limit
 
 
-def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
+def _start_active_set(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _ExactPoint] | None:
+    """Return a dual-feasible active set and its exact point, starting from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
         active.add(row, int(signs[row]))
@@ -160,39 +165,39 @@ def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
     while True:
         at = active.solve(nothing)
         if at is None:
-            return None if not active.rows else _start(qp, np.zeros_like(signs))
-        worst = active.most_wrong(at.point[len(qp.q) :])
+            return None if not active.rows else _start_active_set(qp, np.zeros_like(signs))
+        worst = active.most_wrong_multiplier(at.point[len(qp.q) :])
         if worst is None:
             return active, at
         active.drop(worst)
 
 
 def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
-    """Certify the optimum rounded once, whatever is degenerate.
+    """Certify the optimum by an active-set method in exact rational arithmetic.
 
     `problem` must have positive definite P and L ≤ U; `signs` is a guess of the active set, which
     decides the time only. Where there is no optimum, the proof is of kind "infeasible" with the
     Farkas multipliers y (N,), z NaN and bound inf; None when P turns out singular.
     """
     qp = _IntegerQP.of(problem, exact)
-    started = _start(qp, signs)
+    started = _start_active_set(qp, signs)
     if started is None:
         return None
     active, at = started
-    while (violated := _most_violated(qp, at)) is not None:
+    while (violated := _find_most_violated(qp, at)) is not None:
         row, sign = violated
-        farkas = _add_limit(qp, active, row, sign)
+        farkas = _add_violated_limit(qp, active, row, sign)
         if farkas is not None:
             return Proof(np.full(len(qp.q), np.nan), farkas, np.inf, "infeasible")
         settled = active.solve(np.zeros(len(qp.q), dtype=object))
         if settled is None:
             return None
         at = settled
-    return _proof(qp, active, at)
+    return _build_proof(qp, active, at)
 
 
-def _add_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
-    """Add a violated limit to the active set; return the Farkas multipliers if that fails."""
+def _add_violated_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
+    """Add a violated limit to the active set; return Farkas multipliers if that is impossible."""
     gradient = sign * qp.C[row]
     limit = sign * ((qp.upper[row] if sign > 0 else qp.lower[row]) or 0)
     while True:
@@ -202,16 +207,17 @@ def _add_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vecto
         slope = int(gradient @ at.slope[:n])
         violation = int(gradient @ at.point[:n]) - limit * at.denominator
         reached = Fraction(violation, -slope) if slope < 0 else None
-        blocked = active.first_zero(at)
+        blocked = active.first_zero_multiplier(at)
         if reached is not None and (blocked is None or reached <= blocked[0]):
             active.add(row, sign)
             return None
         if blocked is None:
-            return _farkas(qp, active, at, row, sign)
+            return _farkas_ray(qp, active, at, row, sign)
         active.drop(blocked[1])
 
 
-def _farkas(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: int) -> Vector:
+def _farkas_ray(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, sign: int) -> Vector:
+    """Return the multipliers (N,) that prove the violated row contradicts the active rows."""
     y = np.zeros(len(qp.lower))
     y[row] = sign
     for position, held in enumerate(active.rows):
@@ -219,7 +225,8 @@ def _farkas(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: in
     return y
 
 
-def _proof(qp: _IntegerQP, active: _ActiveSet, at: _Iterate) -> Proof:
+def _build_proof(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint) -> Proof:
+    """Return the exact point rounded to float64, with its rounding error as the bound."""
     n = len(qp.q)
     unit = Fraction(2) ** qp.z_exponent
     exact_z = [Fraction(number, at.denominator) * unit for number in at.point[:n]]

@@ -61,16 +61,16 @@ from dpbench.qp.referee.feasibility.farkas import (
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.feasibility.implied import fix_forced
-from dpbench.qp.referee.feasibility.rounding import least_violation, refute
+from dpbench.qp.referee.feasibility.implied import fix_forced_variables
+from dpbench.qp.referee.feasibility.rounding import bound_least_violation, find_magnified_farkas
 from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
 from dpbench.qp.referee.last_resort import LastResort
 from dpbench.qp.referee.nearby import guess_nearby
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.oracle import guess_active_sets
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import fit_multipliers
 from dpbench.qp.solution import Solution, Status
@@ -84,7 +84,7 @@ SEMIDEFINITE_SIZE = 100
 
 @dataclass(slots=True)
 class _MatrixData:
-    """Data that follow from the matrices of a referee alone, made on first use."""
+    """Cached data that depend only on a referee's matrices, computed on first use."""
 
     systems: OrderedDict[bytes, KKTSystem] = field(default_factory=OrderedDict)
     inverse: Matrix | None = None
@@ -93,7 +93,7 @@ class _MatrixData:
 
 
 class Referee:
-    """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
+    """Independent checker that certifies optima of QPs with the same P, A, lb and ub.
 
     P counts by its symmetric part, rounded once. For P proven positive definite all certificates
     are open. For P that is exactly semidefinite (decided for blocks of up to `SEMIDEFINITE_SIZE`
@@ -113,28 +113,28 @@ class Referee:
         self._farkas: tuple[Vector, Vector] | None = None
         self._data = _MatrixData()
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
-        self._definite = self._finite and positive_definite(self._P)
+        self._definite = self._finite and is_positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
     def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-        """Return a referee of a later step's matrices, begun at the active set of this one."""
+        """Return a referee for a later step's matrices, started at the last active set."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
     def reset_copy(self) -> Referee:
-        """Return a referee that answers like a new one, with the data of these matrices."""
+        """Return a copy without memory of earlier problems, sharing the matrices' data."""
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
         return other
 
     def _is_proven_convex(self) -> bool:
-        """Return whether P is semidefinite: definite in other units, or exactly by blocks."""
+        """Return whether P is proven positive semidefinite."""
         P = self._P
         if (np.diagonal(P) < 0.0).any():
             return False
-        if is_scalable(P) and positive_definite(equilibrate_diagonal(P)):
+        if is_scalable(P) and is_positive_definite(equilibrate_diagonal(P)):
             return True
         count, part = connected_components(P != 0.0, directed=False)
         blocks = [np.flatnonzero(part == i) for i in range(count)]
@@ -143,12 +143,13 @@ class Referee:
         return all(is_semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
 
     def _exact_matrices(self) -> ExactMatrices:
+        """Return the matrices P and C in exact arithmetic, from a cache."""
         if self._data.exact is None:
             self._data.exact = ExactMatrices.of(self._P, self._C)
         return self._data.exact
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
-        """Certify the optimum of the problem with these vectors; (n,), (m,), (m,)."""
+        """Certify the optimum of the QP with vectors q (n,), l and u (m,)."""
         # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
         limits = classify_limits(q, L, U)
@@ -159,11 +160,12 @@ class Referee:
             return self._find_farkas(problem) or self._no_certificate()
         proof = self._try_linear(problem, self._last) or self._try_nearby(problem)
         if proof is None or proof.bound > WANTED:
-            return self._reuse_farkas(problem) or self._search(problem)
+            return self._reuse_farkas(problem) or self._search_certificate(problem)
         return self._split_proof(proof)
 
     def _try_nearby(self, problem: JointQP) -> Proof | None:
-        system = self._system(self._last) if self._convex else None
+        """Try the linear certificate on an active set guessed from that of the last problem."""
+        system = self._kkt_system(self._last) if self._convex else None
         if system is None or not system.proven:
             return None
         signs = guess_nearby(problem, self._geometry, system)
@@ -172,12 +174,13 @@ class Referee:
             self._last = signs
         return proof
 
-    def _search(self, problem: JointQP) -> Optimum:
-        fixed = fix_forced(problem)
+    def _search_certificate(self, problem: JointQP) -> Optimum:
+        """Try all certificates in order of cost, from guesses of the active set."""
+        fixed = fix_forced_variables(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
         best: Proof | None = None
-        for signs in guesses(posed):
+        for signs in guess_active_sets(posed):
             if signs is None:
                 if (empty := self._find_farkas(problem)) is not None:
                     return empty
@@ -192,41 +195,43 @@ class Referee:
         if best is None or WANTED < best.bound < np.inf:
             return self._try_last_resort(problem, posed, best)
         if best.kind == "infeasible":
-            return self._find_farkas(problem) or self._verdict_by_exact(problem, best.y)
-        return self._answer(problem, posed, best)
+            return self._find_farkas(problem) or self._verdict_by_multipliers(problem, best.y)
+        return self._build_optimum(problem, posed, best)
 
     def _try_last_resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
-        """Try the last resort where the other certificates gave nothing better than `known`."""
+        """Try the last-resort certificate; return the better of it and the known proof."""
         if known is None and (empty := self._find_farkas(problem)) is not None:
             return empty
         if self._data.last_resort is None:
             self._data.last_resort = LastResort(self._P, self._C, convex=self._convex)
         closer = self._data.last_resort.certify(posed)
         if closer is not None and (known is None or closer.bound < known.bound):
-            return self._answer(problem, None, closer)
+            return self._build_optimum(problem, None, closer)
         if known is not None:
-            return self._answer(problem, posed, known)
-        farkas = refute(self._program(problem))
-        return self._no_certificate() if farkas is None else self._refuted(problem, *farkas)
+            return self._build_optimum(problem, posed, known)
+        farkas = find_magnified_farkas(self._as_qp(problem))
+        return self._no_certificate() if farkas is None else self._refutation(problem, *farkas)
 
-    def _answer(self, problem: JointQP, posed: JointQP | None, proof: Proof) -> Optimum:
-        """Return the optimum of `posed`; where that is changed, with the problem's multipliers."""
+    def _build_optimum(self, problem: JointQP, posed: JointQP | None, proof: Proof) -> Optimum:
+        """Return a proof as an optimum, with multipliers fitted to the original problem."""
         if posed is problem:
             return self._split_proof(proof)
         try:
-            y, y_box = fit_multipliers(self._program(problem), proof.z, 1e-9)
+            y, y_box = fit_multipliers(self._as_qp(problem), proof.z, 1e-9)
         except RuntimeError:
             # Non-negative least squares gave up: the optimum is valid without multipliers.
             y, y_box = np.full(self._m, np.nan), np.full(len(proof.z), np.nan)
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _try_linear(self, problem: JointQP, signs: Signs) -> Proof | None:
-        system = self._system(signs) if self._convex else None
+        """Try the linear certificate on the active set `signs`."""
+        system = self._kkt_system(signs) if self._convex else None
         if system is None or not system.proven:
             return None
         return linear_certificate(problem, self._geometry, system)
 
-    def _system(self, signs: Signs) -> KKTSystem:
+    def _kkt_system(self, signs: Signs) -> KKTSystem:
+        """Return the KKT system of an active set, from a cache of the last ones."""
         key = signs.tobytes()
         system = self._data.systems.get(key)
         if system is None:
@@ -240,7 +245,7 @@ class Referee:
     def _try_costly(
         self, problem: JointQP, tried: list[Signs], known: Proof | None
     ) -> Proof | None:
-        """Return the best of `known` and the costly certificates, begun at the sets `tried`."""
+        """Return the best proof among the known one, the gap and the rational certificates."""
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
@@ -259,36 +264,38 @@ class Referee:
         return min(proofs, key=lambda p: (p.kind == "infeasible", p.bound), default=None)
 
     def _try_gap(self, problem: JointQP, signs: Signs) -> Proof | None:
+        """Try the gap certificate from the active set `signs`."""
         if self._data.inverse is None:
-            free = self._system(np.zeros_like(signs))
+            free = self._kkt_system(np.zeros_like(signs))
             if not free.proven:
                 return None
             self._data.inverse = free.inverse_bounds()
         held = select_independent(self._C, signs, signs)
-        system = self._system(held)
+        system = self._kkt_system(held)
         if not system.proven:
             return None
         # The point to rounding is enough to see which limits it touches.
         touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
-        system = self._system(select_independent(self._C, np.where(held, held, touched), held))
+        system = self._kkt_system(select_independent(self._C, np.where(held, held, touched), held))
         if not system.proven:
             return None
         return gap_certificate(problem, self._exact_matrices(), system, self._data.inverse)
 
     def _split_proof(self, proof: Proof) -> Optimum:
+        """Return a proof as an optimum, its multipliers split into rows and bounds."""
         y, y_box = proof.y[: self._m], proof.y[self._m :]
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _find_farkas(self, problem: JointQP) -> Optimum | None:
-        """Return "infeasible" or "undecided" with a verified vector, if there is one."""
-        farkas = certify_infeasible(self._program(problem))
+        """Return a verdict of infeasibility with a verified Farkas vector, or None."""
+        farkas = certify_infeasible(self._as_qp(problem))
         if farkas is None:
             return None
         self._farkas = farkas
-        return self._refuted(problem, *farkas)
+        return self._refutation(problem, *farkas)
 
     def _reuse_farkas(self, problem: JointQP) -> Optimum | None:
-        """Return the verdict "infeasible" by an earlier problem's vector, if it is still valid.
+        """Return the verdict "infeasible" by an earlier Farkas vector that is still valid, or None.
 
         Problems undecided at rounding need a vector of their own.
         """
@@ -298,34 +305,37 @@ class Referee:
         used = np.flatnonzero(both)
         limits = np.where(both > 0.0, problem.U, problem.L)[used]
         # Most vectors of another step are seen to prove nothing before they are tried exactly.
-        if not both[used] @ limits < 0.0 or not farkas_valid(self._program(problem), *self._farkas):
+        if not both[used] @ limits < 0.0 or not farkas_valid(self._as_qp(problem), *self._farkas):
             return None
-        verdict = self._refuted(problem, *self._farkas)
+        verdict = self._refutation(problem, *self._farkas)
         return verdict if verdict.kind == "infeasible" else None
 
-    def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        least = least_violation(self._program(problem), np.concatenate((y, y_box)))
+    def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+        """Return the verdict of a Farkas vector: "infeasible", or "undecided" within rounding."""
+        least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
-    def _verdict_by_exact(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """Return the verdict by the exact multipliers, if they still prove it once rounded.
+    def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
+        """Return the verdict by exact Farkas multipliers, if they hold once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
         y = multipliers[: self._m]
         y_box = -(y @ self._A)
-        if farkas_valid(self._program(problem), y, y_box):
-            return self._refuted(problem, y, y_box)
-        if least_violation(self._program(problem)).undecided:
+        if farkas_valid(self._as_qp(problem), y, y_box):
+            return self._refutation(problem, y, y_box)
+        if bound_least_violation(self._as_qp(problem)).undecided:
             return replace(self._no_certificate(), kind="undecided")
         return self._no_certificate()
 
     def _no_certificate(self) -> Optimum:
+        """Return an optimum of kind "none": NaN arrays and an infinite bound."""
         n, nan = len(self._lb), np.nan
         return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
 
-    def _program(self, problem: JointQP) -> QuadraticProgram:
+    def _as_qp(self, problem: JointQP) -> QuadraticProgram:
+        """Convert a joint QP of these matrices to a `QuadraticProgram`."""
         m = self._m
         return QuadraticProgram(
             self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub
@@ -333,28 +343,25 @@ class Referee:
 
 
 def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """Return a referee that answers like a new one.
-
-    It shares the data of the same matrices in this thread: runs of one controller in many
-    realisations have the same.
-    """
+    """Return a fresh referee that shares cached data of equal matrices in this thread."""
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
     return _cached_referee(get_ident(), len(lb), *parts).reset_copy()
 
 
 @lru_cache(maxsize=8)
 def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
+    """Build a referee from the bytes of its matrices, the keys of the cache."""
     square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """Certify the optimum of one problem; a `Referee` is faster for many that share P and A."""
+    """Certify the optimum of a single QP."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
 def measure_error(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
-    """Return error_move, error_plan: max_i |z_i − z*_i| over the first block and over all.
+    """Return the largest distance of z to the optimum, over the first move and over the plan.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
@@ -367,7 +374,7 @@ def measure_error(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tu
 def measure_errors(
     z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
 ) -> tuple[Vector, Vector]:
-    """Apply `measure_error` to K answers z (K, n) and their optima: (K,) each."""
+    """Return the errors of first move and plan of K answers z (K, n): (K,) each."""
     size = block or z.shape[1]
     error = np.abs(z - np.array([optimum.z for optimum in optima]))
     by_block = error.reshape(len(z), -1, size)[:, :, : moves or size]
@@ -379,7 +386,7 @@ def measure_errors(
 
 
 def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
-    """Certify the optimum of one step after the other, for a sequence in scaled units."""
+    """Yield the certified optimum of each step of a QP sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
     for k in range(len(sequence)):
@@ -391,12 +398,12 @@ def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
 
 
 def certify_sequence(sequence: QPSequence) -> list[Optimum]:
-    """Certify the optimum of every step, for a sequence in scaled units."""
+    """Return the certified optimum of each step of a QP sequence in scaled units."""
     return list(iterate_certified(sequence))
 
 
 def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
-    """Return whether the status PRIMAL_INFEASIBLE or DUAL_INFEASIBLE of `solution` is proven true.
+    """Return whether a solver's claim "infeasible" or "unbounded" is proven true.
 
     A valid certificate of the solver in (y, y_box), or direction in z, is accepted; otherwise the
     referee's verdict decides. Any other status gives False.

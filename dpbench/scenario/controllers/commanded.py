@@ -15,34 +15,34 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class ThrusterControl:
-    """Thrusters that a controller commands, their limits in the QP, their weight W (n_f, n_f)."""
+    """Thrusters that a controller commands, with their limits and their force weight W."""
 
     thrusters: ThrusterSet
     rows: ThrusterRows
     W: Matrix
 
     def move_limit(self, df_max: Vector) -> MoveLimit:
-        """Return the limit of moves, rates df_max (n_f,) [N] included."""
+        """Return the limiter of force changes, with the rate limits df_max (n_f,) [N]."""
         return ThrusterLimit(self.rows, df_max)
 
     def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
-        """Return whether f (K, n_f) is beyond the rates from the forces before (K, n_f): (K,)."""
+        """Return for K samples whether thruster forces change faster than their limits: (K,)."""
         too_fast: Flags = np.any(np.abs(f - before) > df_max * (1.0 + 1e-12), axis=1)
         return too_fast
 
 
 @dataclass(frozen=True, eq=False)
 class TurningThrusterControl(ThrusterControl):
-    """Thrusters whose azimuths keep to their turning rate."""
+    """Commanded thrusters whose azimuths have a limited turning rate."""
 
     turning: AzimuthTurning
 
     def move_limit(self, df_max: Vector) -> MoveLimit:
-        """Return the limit of moves, rates and turning of azimuths included."""
+        """Return the limiter of force changes, for thrust rate and turning rate of azimuths."""
         return TurningLimit(self.rows, df_max, self.turning)
 
     def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
-        """Return whether f is beyond the rates, those of turning included: (K,)."""
+        """Return for K samples whether forces exceed the limits of thrust or turning rate: (K,)."""
         too_fast = super().exceeds_rate(f, before, df_max)
         for k in np.flatnonzero(~too_fast).tolist():
             change = f[k] - before[k]
@@ -51,13 +51,13 @@ class TurningThrusterControl(ThrusterControl):
         return too_fast
 
 
-def thruster_control(spec: ControllerSpec) -> ThrusterControl:
-    """Return the thrusters that the controller of a file commands.
+def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
+    """Build the commanded thrusters of a scenario's controller, with their limits and weights.
 
     Raises InputError for a vessel without thrusters, and where azimuth_turning does not apply.
     """
     table, where = spec.thruster_table, spec.where
-    thrusters = spec.thrusters("kind", spec.table.kind, "forces")
+    thrusters = spec.require_thrusters("kind", spec.table.kind, "forces")
     W = np.diag(table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2)
     rows = thruster_rows(thrusters, table.polygon_sides)
     if not table.azimuth_turning:

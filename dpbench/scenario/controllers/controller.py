@@ -12,7 +12,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.condensed_qp import Amplitude, CondensedQP, Form
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.move_limits import MoveLimit, move_limit
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.staged_qp import StagedQP
@@ -30,7 +30,7 @@ of thrusters and their wear, and force demanded but not delivered."""
 
 @dataclass(frozen=True, eq=False)
 class Controller(ABC):
-    """A controller made ready for a ship.
+    """Configured controller of a ship: MPC problem, options, and changes of limits by faults.
 
     problem : model at psi0_rad, horizons, weights and limits in SI units.
     amplitude, outputs : policy of the amplitude limits; bounds on position and speed.
@@ -56,33 +56,31 @@ class Controller(ABC):
 
     @property
     def label(self) -> str:
-        """Tuning and horizons: "robust 60/10"."""
+        """Tuning and horizons as text, e.g. "robust 60/10"."""
         return f"{self.tuning} {self.problem.N_p}/{self.problem.N_c}"
 
     @property
     def description(self) -> str:
-        """Tuning, horizons and what is commanded, in a few words."""
+        """Tuning, horizons and kind of command as text, e.g. "tuning robust 60/10, cascade"."""
         return f"tuning {self.label}{self.commands}"
 
     @property
     def commanded(self) -> ThrusterControl | None:
-        """The thrusters that are commanded, planned or allocated; None where axes are."""
+        """Commanded thrusters; None where a force in surge, sway and yaw is commanded."""
         return None
 
     @property
     def n_f(self) -> int:
-        """Number of commanded thruster forces; 0 where axes of the force are commanded."""
+        """Number of commanded thruster force components; 0 where no thrusters are commanded."""
         return 0 if self.commanded is None else self.commanded.thrusters.n_f
 
     def build_qp(self, units: UnitSystem = "scaled") -> CondensedQP:
-        """Return the builder of the condensed QPs."""
-        return self.linearisation.condense(self.problem, **self._form(units))
-
-    def _form(self, units: UnitSystem) -> Form:
-        return {"units": units, "amplitude": self.amplitude, "outputs": self.outputs}
+        """Return the builder of this controller's condensed QPs, in scaled or SI units."""
+        policy = {"amplitude": self.amplitude, "outputs": self.outputs}
+        return self.linearisation.condense(self.problem, units=units, **policy)
 
     def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:
-        """Return the builder of the sparse QPs, with states; InputError where there are none."""
+        """Return the builder of the sparse QPs; InputError where there is no sparse form."""
         why = self.why_no_sparse_form
         if why or self.amplitude == "soft":
             allowed = "a scenario without layers and with one model"
@@ -91,7 +89,7 @@ class Controller(ABC):
 
     @property
     def why_no_sparse_form(self) -> str:
-        """Reason why the QPs have no sparse formulation; "" where they have."""
+        """Reason why the QPs have no sparse form; "" where they have one."""
         if self.linearisation.why_no_sparse_form:
             return self.linearisation.why_no_sparse_form
         if self.amplitude == "soft" or self.outputs is not None:
@@ -99,41 +97,41 @@ class Controller(ABC):
         return ""
 
     def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
-        """Return the builder of the second QPs, which allocate the planned force; None without."""
+        """Return the builder of the thrust-allocation QPs; None without such a second QP."""
         return None
 
     def move_limit(self) -> MoveLimit:
-        """Return the limit of moves."""
+        """Return the limiter of control increments between the plan and the applied force."""
         return move_limit(self.problem)
 
     @property
     def built_in_limits(self) -> Limits | None:
-        """Limits that are in the QPs already and need not be passed to their builder."""
+        """Limits that the QP builder already contains; None where limits change at each step."""
         return self.problem.limits
 
     def limits(self, samples: int) -> list[Limits]:
-        """Return the limits of u, or of its rows, in force at each sample."""
+        """Return the limits of the planned force at each of `samples` samples, faults included."""
         return limits_at_samples(self.problem.limits, self.changes, samples)
 
     def thruster_limits(self, samples: int) -> list[Limits]:
-        """Return the limits of the commanded thrusters at each sample; none where axes are."""
+        """Return the limits of the commanded thrusters at each sample; [] without thrusters."""
         return []
 
     @abstractmethod
     def force(self, u: Matrix) -> Matrix:
-        """Return the force on the ship τ (..., 3) of u (..., n_u)."""
+        """Return the force on the ship (..., 3) for commands u (..., n_u)."""
 
     @abstractmethod
     def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
-        """Return the applied u (K, n_u), either τ (K, 3) or f (K, n_f) of a run."""
+        """Return the applied commands (K, n_u): the forces tau (K, 3) or thrust (K, n_f)."""
 
     def as_baseline_law(self) -> Controller:
-        """Return the controller as the baseline law runs it, without a QP anywhere."""
+        """Return the controller in the form that the unconstrained baseline law uses."""
         return self
 
 
 def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limits]:
-    """Return the limits at each sample: `own` until the first change, and its from then on."""
+    """Return the limits at each sample: `own` before the first change, then the changed ones."""
     limits = [own] * samples
     for k, changed in changes:
         limits[k:] = [changed] * len(limits[k:])
@@ -141,6 +139,6 @@ def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limit
 
 
 def stack_limits(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
-    """Return low and high (K, r) of the limits at K samples."""
+    """Return lower and upper limits (K, r) of K samples as arrays."""
     low, high, _ = zip(*limits, strict=True)
     return np.array(low), np.array(high)

@@ -15,40 +15,40 @@ from dpbench.scenario.controllers.specification import ControllerSpec
 
 
 class ForceController(Controller):
-    """u is the force τ (3,), each axis of it with a limit of its own."""
+    """Controller that commands a force in surge, sway and yaw, with limits axis by axis."""
 
     metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("axis_limits",)
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> ForceController:
-        """Return the controller of a scenario file, of the class that its limits want."""
+        """Build the controller of a scenario, with limits axis by axis or joint ones."""
         spec.check_faults(lost=spec.table.limits != "box", limit_share=spec.table.limits == "box")
-        problem, changes = force_plan(spec)
+        problem, changes = build_force_plan(spec)
         wanted = ForceController if problem.thrusters is None else JointForceController
         return wanted(problem=problem, changes=changes, **spec.planning)
 
     def force(self, u: Matrix) -> Matrix:
-        """Return u itself."""
+        """Return the commands unchanged: they are forces on the ship (..., 3)."""
         return u
 
     def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
-        """Return the force."""
+        """Return the forces tau (K, 3), which are the commands."""
         return tau
 
 
 class JointForceController(ForceController):
-    """u is the force τ (3,), limited as a whole by what the ship's thrusters attain together."""
+    """Controller that commands a force within what the thrusters attain together."""
 
     metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("joint_limits",)
 
 
-def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
-    """Return the problem of a plan of forces, and how faults change its limits.
+def build_force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
+    """Return the MPC problem of a planned force, and the changes of its limits by faults.
 
     Raises InputError for limits = "attainable" in a vessel without thrusters.
     """
     ship = spec.vessel
-    R, du_max = np.diag(_move_weight(spec)), ship.step_max(spec.sample_s)
+    R, du_max = np.diag(_move_weights(spec)), ship.step_max(spec.sample_s)
     if spec.table.limits == "box":
         rows, limits = None, Limits(ship.tau_min, ship.tau_max)
         changes = tuple(
@@ -56,15 +56,16 @@ def force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
             for k, share in spec.limit_shares
         )
     else:
-        thrusters = spec.thrusters("limits", "attainable", "box")
+        thrusters = spec.require_thrusters("limits", "attainable", "box")
         attainable = attainable_set(thrusters, spec.table.attainable_sides)
         rows = attainable.rows()
         limits = rows.intact
         changes = tuple((k, attainable.limits(lost)) for k, lost in spec.losses)
-    return spec.problem(limits, du_max, R, rows=rows), changes
+    return spec.build_problem(limits, du_max, R, rows=rows), changes
 
 
-def _move_weight(spec: ControllerSpec) -> Vector:
+def _move_weights(spec: ControllerSpec) -> Vector:
+    """Return the weights R (3,) of the control increments, in SI units."""
     table = spec.table
     if table.move_weight_relative is not None:
         return np.array(table.move_weight_relative) / spec.vessel.step_max(spec.sample_s) ** 2

@@ -29,7 +29,7 @@ from dpbench.ship.vessel import Vessel
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The step from a problem, with its model at one heading, to condensed QPs.
+    """Factory of condensed QPs for one way of linearising the ship's model.
 
     condense : makes the builder of a problem, with the arguments of `CondensedQP`.
     """
@@ -43,19 +43,19 @@ FIXED_MODEL = Linearisation(CondensedQP)
 
 
 def relinearised_model(psi0_rad: float) -> Linearisation:
-    """Linearise at each measured heading, starting from the problem's at psi0_rad."""
+    """Return the factory of QPs that are re-linearised at each measured heading."""
     why = "sparse: the model is linearised anew at each step, and its stages with it"
     return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
 
 
 def turning_rows(turning: AzimuthTurning) -> Linearisation:
-    """Linearise once, with the rows of azimuths that turn at a limited rate at each step."""
+    """Return the factory of QPs with rows that limit the turning rate of azimuths."""
     why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
     return Linearisation(partial(TurningQP, turning=turning), why)
 
 
 class Planning(TypedDict):
-    """Arguments of `Controller` that say how it plans."""
+    """Keyword arguments of `Controller` that describe how it plans."""
 
     tuning: str
     psi0_rad: float
@@ -66,7 +66,7 @@ class Planning(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class ControllerSpec:
-    """Tables and ship of a controller; `where` is the file named in errors."""
+    """Scenario file, ship and units from which a controller is built."""
 
     file: ScenarioFile
     vessel: Vessel
@@ -76,18 +76,18 @@ class ControllerSpec:
 
     @property
     def table(self) -> ControllerTable:
-        """The controller's own table."""
+        """Controller table of the scenario file."""
         return self.file.controller
 
     @property
     def thruster_table(self) -> ThrusterControlTable:
-        """The table of a controller that commands thrusters."""
+        """Table of the commanded thrusters in the scenario file."""
         assert self.table.thrusters is not None, "the table demands it"
         return self.table.thrusters
 
     @property
     def planning(self) -> Planning:
-        """Arguments of `Controller`."""
+        """Keyword arguments of `Controller`: tuning, linearisation, limit policy, output bounds."""
         table, psi0_rad = self.table, self._psi0_rad
         each_step = table.linearisation == "each_step"
         return {
@@ -95,10 +95,10 @@ class ControllerSpec:
             "psi0_rad": psi0_rad,
             "linearisation": relinearised_model(psi0_rad) if each_step else FIXED_MODEL,
             "amplitude": table.amplitude,
-            "outputs": self._outputs,
+            "outputs": self._output_bounds,
         }
 
-    def problem(
+    def build_problem(
         self,
         limits: Limits,
         du_max: Vector,
@@ -108,7 +108,7 @@ class ControllerSpec:
         T_e: Matrix | None = None,
         W: Matrix | None = None,
     ) -> ControlProblem:
-        """Return the problem of u with these limits and weights; the force is u, or T_e u."""
+        """Return the MPC problem with given limits and increment weights R, in SI units."""
         ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
         model = build_prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
         if T_e is not None:
@@ -120,10 +120,12 @@ class ControllerSpec:
 
     @property
     def _psi0_rad(self) -> float:
+        """Heading [rad] at which the controller's model is linearised."""
         return float(np.radians(self.table.model_heading_deg))
 
     @property
-    def _outputs(self) -> OutputBounds | None:
+    def _output_bounds(self) -> OutputBounds | None:
+        """Bounds on predicted position and speed, in SI units; None without any."""
         table = self.table.outputs
         if table is None:
             return None
@@ -133,16 +135,16 @@ class ControllerSpec:
             None if table.speed_mps is None else table.speed_mps * self.scale.time,
         )
 
-    def thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
-        """Return the vessel's thrusters; InputError for the value of a key that needs them."""
+    def require_thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
+        """Return the vessel's thrusters; InputError if a key needs them and there are none."""
         if self.vessel.thrusters is None:
             allowed = f'"{otherwise}", or thrusters in the file of vessel {self.vessel.id}'
             raise InputError(self.where, f"controller.{key}", f'"{value}"', allowed)
         return self.vessel.thrusters
 
     def check_faults(self, *, lost: bool, limit_share: bool) -> None:
-        """Raise InputError for a fault of a kind that the controller does not know."""
-        for i, (_, fault) in enumerate(self._faults):
+        """Raise InputError for a kind of fault that the controller cannot have."""
+        for i, (_, fault) in enumerate(self._sorted_faults):
             if not (lost if fault.lost is not None else limit_share):
                 found = "lost" if fault.lost is not None else "limit_share"
                 allowed = (
@@ -153,16 +155,16 @@ class ControllerSpec:
 
     @property
     def limit_shares(self) -> list[tuple[int, Vector]]:
-        """(sample, shares (3,) of the vessel's limits) of the faults that change these."""
-        shares = [(k, fault.limit_share) for k, fault in self._faults]
+        """Sample and share (3,) of the vessel's limits for each fault that reduces the limits."""
+        shares = [(k, fault.limit_share) for k, fault in self._sorted_faults]
         return [(k, np.array(share)) for k, share in shares if share is not None]
 
     @property
     def losses(self) -> list[tuple[int, set[int]]]:
-        """(sample, numbers of lost thrusters) of each fault; what was lost before stays lost."""
+        """Sample and indices of all thrusters lost so far, for each fault that loses thrusters."""
         losses: list[tuple[int, set[int]]] = []
         lost: set[int] = set()
-        for i, (k, fault) in enumerate(self._faults):
+        for i, (k, fault) in enumerate(self._sorted_faults):
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
                 key = f"faults.{i}.lost"
@@ -171,7 +173,7 @@ class ControllerSpec:
         return losses
 
     @property
-    def _faults(self) -> list[tuple[int, FaultTable]]:
-        """(sample, fault) in order of time."""
+    def _sorted_faults(self) -> list[tuple[int, FaultTable]]:
+        """Sample and table of each fault, in order of time."""
         in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
         return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]

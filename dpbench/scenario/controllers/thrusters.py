@@ -18,7 +18,7 @@ from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.scenario.controllers.commanded import (
     ThrusterControl,
     TurningThrusterControl,
-    thruster_control,
+    build_thruster_control,
 )
 from dpbench.scenario.controllers.controller import (
     Changes,
@@ -26,13 +26,13 @@ from dpbench.scenario.controllers.controller import (
     MetricGroup,
     limits_at_samples,
 )
-from dpbench.scenario.controllers.forces import ForceController, force_plan
+from dpbench.scenario.controllers.forces import ForceController, build_force_plan
 from dpbench.scenario.controllers.specification import ControllerSpec, turning_rows
 
 
 @dataclass(frozen=True, eq=False)
 class ThrusterController(Controller):
-    """u are the forces f (n_f,) of the ship's thrusters."""
+    """Controller that commands the forces (n_f,) of the ship's thrusters directly."""
 
     control: ThrusterControl
 
@@ -41,8 +41,8 @@ class ThrusterController(Controller):
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> ThrusterController:
-        """Return the controller of a scenario file; InputError for a vessel that does not fit."""
-        control, planning = thruster_control(spec), spec.planning
+        """Build the controller of a scenario; InputError for a vessel without fitting thrusters."""
+        control, planning = build_thruster_control(spec), spec.planning
         spec.check_faults(lost=True, limit_share=False)
         if isinstance(control, TurningThrusterControl):
             planning["linearisation"] = turning_rows(control.turning)
@@ -50,36 +50,36 @@ class ThrusterController(Controller):
         df_max = thrusters.step_max(spec.sample_s)
         R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
         T_e = thrusters.T_e
-        problem = spec.problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
-        changes = tuple((k, rows.without(lost)) for k, lost in spec.losses)
+        problem = spec.build_problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
+        changes = tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses)
         return cls(problem=problem, changes=changes, control=control, **planning)
 
     @property
     def commanded(self) -> ThrusterControl:
-        """The thrusters, whose forces are planned."""
+        """Commanded thrusters, whose forces the MPC plans."""
         return self.control
 
     def move_limit(self) -> MoveLimit:
-        """Return what limits the moves of a run, turning of azimuths included."""
+        """Return the limiter of thruster force changes, for thrust and turning rates."""
         return self.control.move_limit(self.problem.du_max)
 
     def thruster_limits(self, samples: int) -> list[Limits]:
-        """Return the limits of u."""
+        """Return the limits of the thrusters at each sample, faults included."""
         return self.limits(samples)
 
     def force(self, u: Matrix) -> Matrix:
-        """Return T_e u."""
+        """Return the force on the ship (..., 3) of thruster forces u (..., n_f)."""
         force: Matrix = u @ self.control.thrusters.T_e.T
         return force
 
     def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
-        """Return the forces of the thrusters."""
+        """Return the thruster forces (K, n_f), which are the commands."""
         return thrust
 
 
 @dataclass(frozen=True, eq=False)
 class CascadeController(ForceController):
-    """u is the force τ (3,), which is then allocated at each sample.
+    """Controller that plans a force (3,) and then allocates it to thrusters at each sample.
 
     by_qp : whether a QP allocates, or the pseudo-inverse.
     losses : changes of the limits of the thrusters, by faults.
@@ -97,10 +97,10 @@ class CascadeController(ForceController):
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> CascadeController:
-        """Return the controller of a scenario file; InputError for a vessel that does not fit."""
-        control, table = thruster_control(spec), spec.thruster_table
+        """Build the cascade of a scenario; InputError for a vessel without fitting thrusters."""
+        control, table = build_thruster_control(spec), spec.thruster_table
         spec.check_faults(lost=True, limit_share=spec.table.limits == "box")
-        problem, changes = force_plan(spec)
+        problem, changes = build_force_plan(spec)
         thrusters, rows = control.thrusters, control.rows
         df_max, step_max = thrusters.step_max(spec.sample_s), problem.du_max
         assert table.slack_weight_relative is not None, "the table demands it"
@@ -114,28 +114,28 @@ class CascadeController(ForceController):
                 thrusters.T_e, rows, control.W, R, slack, df_max, step_max
             ),
             by_qp=table.allocation != "pseudo_inverse",
-            losses=tuple((k, rows.without(lost)) for k, lost in spec.losses),
+            losses=tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses),
             **spec.planning,
         )
 
     @property
     def commanded(self) -> ThrusterControl:
-        """The thrusters that the force is allocated to."""
+        """Commanded thrusters, to which the planned force is allocated."""
         return self.control
 
     @property
     def built_in_limits(self) -> None:
-        """None: thrusters may deliver a force beyond its limits, which then depend on the step."""
+        """None, since the thrusters may leave the planned force outside its limits."""
         return None
 
     def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
-        """Return the builder of the second QPs; None where the pseudo-inverse allocates."""
+        """Return the builder of the allocation QPs; None where the pseudo-inverse allocates."""
         return AllocationQP(self.allocation, units=units) if self.by_qp else None
 
     def thruster_limits(self, samples: int) -> list[Limits]:
-        """Return the limits of the thrusters in force at each sample."""
+        """Return the limits of the thrusters at each sample, losses included."""
         return limits_at_samples(self.control.rows.intact, self.losses, samples)
 
     def as_baseline_law(self) -> CascadeController:
-        """Return the cascade without its second QP, as the law ignores all constraints."""
+        """Return the cascade with the pseudo-inverse in place of the allocation QP."""
         return replace(self, by_qp=False)

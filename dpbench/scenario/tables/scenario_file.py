@@ -63,7 +63,8 @@ class FaultTable(FileModel):
     commanded. Of a cascade it changes the allocation and not the plan."""
 
     @model_validator(mode="after")
-    def _one_fault(self) -> FaultTable:
+    def _check_one_kind(self) -> FaultTable:
+        """Raise ValueError unless exactly one of limit_share and lost is given."""
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
         return self
@@ -78,7 +79,8 @@ class OutputsTable(FileModel):
     """Largest speed over ground [m/s]; none by default."""
 
     @model_validator(mode="after")
-    def _something(self) -> OutputsTable:
+    def _check_any_bound(self) -> OutputsTable:
+        """Raise ValueError where neither a radius nor a speed is bounded."""
         if self.radius_m is None and self.speed_mps is None:
             raise ValueError("at least one of radius_m and speed_mps")
         return self
@@ -150,7 +152,8 @@ class ControllerTable(FileModel):
     """Bounds on predicted position and speed, softened; none by default."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> ControllerTable:
+    def _check_consistent(self) -> ControllerTable:
+        """Raise ValueError where keys do not fit the controller's kind."""
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
         if (self.kind != "forces") != (self.thrusters is not None):
@@ -171,7 +174,7 @@ class ControllerTable(FileModel):
         return self
 
     def _check_allocation(self, table: ThrusterControlTable) -> None:
-        """Raise ValueError for keys that belong to a cascade and to nothing else."""
+        """Raise ValueError for allocation keys that do not fit the controller's kind."""
         if self.kind == "thrusters":
             if table.slack_weight_relative is not None or table.allocation is not None:
                 raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
@@ -182,7 +185,8 @@ class ControllerTable(FileModel):
 
     @field_validator("control_horizon")
     @classmethod
-    def _within_prediction(cls, N_c: int, info: ValidationInfo) -> int:
+    def _check_control_horizon(cls, N_c: int, info: ValidationInfo) -> int:
+        """Raise ValueError where the control horizon exceeds the prediction horizon."""
         N_p = info.data.get("prediction_horizon", N_c)
         if N_c > N_p:
             raise ValueError(f"1 up to prediction_horizon ({N_p})")
@@ -190,7 +194,7 @@ class ControllerTable(FileModel):
 
 
 class PoseTable(FileModel):
-    """A position and heading."""
+    """Position (north, east) and heading."""
 
     north_m: keys.Number = 0.0
     """North [m]."""
@@ -200,12 +204,12 @@ class PoseTable(FileModel):
     """Heading, clockwise from north [°]."""
 
     def pose(self) -> Vector:
-        """[n, e, ψ] in m, m, rad."""
+        """Return the pose [n, e, ψ] in m, m, rad."""
         return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
 
 
 class StartTable(PoseTable):
-    """Where the ship is at the first sample, and how it moves: over ground, along its own axes."""
+    """Position and heading of the ship at the first sample, and its velocity over ground."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"surge_mps", "sway_mps", "yaw_degps"})
 
@@ -217,12 +221,12 @@ class StartTable(PoseTable):
     """Rate of turn to starboard [°/s]."""
 
     def velocity(self) -> Vector:
-        """[u, v, r] in m/s, m/s, rad/s."""
+        """Return the velocity over ground [u, v, r] along the ship's axes, in m/s, m/s, rad/s."""
         return np.array([self.surge_mps, self.sway_mps, np.radians(self.yaw_degps)])
 
 
 class FilterTable(FileModel):
-    """A third-order reference filter, which starts at rest at the ship's start."""
+    """Third-order reference filter, at rest at the start of the run."""
 
     period_s: keys.Positive
     """Natural period of the filter [s]."""
@@ -231,15 +235,15 @@ class FilterTable(FileModel):
 
 
 class ReferenceTable(PoseTable):
-    """The set-point, whether it is filtered, and whether the controller sees it coming."""
+    """Setpoint of position and heading, with optional filter and preview."""
 
     filter: FilterTable | None = None
     """Filters the set-point; none by default."""
     preview: bool = False
     """true: the controller sees the reference of the coming samples."""
 
-    def smoothed(self, scale: Froude) -> ReferenceFilter | None:
-        """Return the filter in SI; None for none."""
+    def build_filter(self, scale: Froude) -> ReferenceFilter | None:
+        """Return the reference filter in SI units; None where the reference is not filtered."""
         if self.filter is None:
             return None
         # To read a file takes none of the compiled modules.
@@ -249,7 +253,7 @@ class ReferenceTable(PoseTable):
 
 
 class ScenarioFile(FileModel):
-    """`problems/scenarios/*.toml`."""
+    """Contents of a scenario file, `problems/scenarios/*.toml`."""
 
     title: str
     """The scenario in words."""

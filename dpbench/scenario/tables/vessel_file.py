@@ -20,7 +20,7 @@ from dpbench.ship.weather.wind import Windage
 
 
 class LimitsTable(FileModel):
-    """Limits of the control force and of its rate."""
+    """Limits of the control force and of its rate of change."""
 
     surge_N: keys.Two
     """Least and largest surge force [N]; zero lies between."""
@@ -33,7 +33,7 @@ class LimitsTable(FileModel):
 
 
 class WindageTable(FileModel):
-    """The hull above the water, as the wind sees it."""
+    """Areas and coefficients of the hull above water, for wind forces."""
 
     frontal_m2: keys.Positive
     """Projected area above the water seen from ahead, A_F [m²]."""
@@ -48,7 +48,7 @@ class WindageTable(FileModel):
 
 
 class ReflectionTable(FileModel):
-    """The hull at the waterline, as wave drift sees it."""
+    """Wave reflection of the hull at the waterline, for drift forces."""
 
     breadth_m: keys.Positive
     """Breadth at the waterline [m]."""
@@ -94,7 +94,8 @@ class ThrusterTable(FileModel):
     """Failure group, as of one switchboard; by default it fails alone."""
 
     @model_validator(mode="after")
-    def _one_thrust(self) -> ThrusterTable:
+    def _check_one_thrust(self) -> ThrusterTable:
+        """Raise ValueError unless thrust is given either directly or by power and propeller."""
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
@@ -103,8 +104,8 @@ class ThrusterTable(FileModel):
             raise ValueError("height_m belongs to power_kW, diameter_m and propeller")
         return self
 
-    def thruster(self) -> Thruster:
-        """Return the thruster in SI units; raises InputError."""
+    def build_thruster(self) -> Thruster:
+        """Return the thruster in SI units; InputError for values that do not fit its kind."""
         screw = None
         if self.thrust_kN is not None:
             thrust_N = 1e3 * self.thrust_kN
@@ -148,8 +149,8 @@ class CapabilityTable(FileModel):
     skegs: list[keys.Two] = []
     """[x, y] of the aftmost point of each skeg, ahead of L_pp/2 and to starboard [m]."""
 
-    def hull(self, length_m: float, windage: Windage) -> CapabilityHull:
-        """Return the hull in SI units, L_pp being length_m."""
+    def build_hull(self, length_m: float, windage: Windage) -> CapabilityHull:
+        """Return the hull for capability plots in SI units, with assumed values where left out."""
         assumed = {
             "submerged_length_m": length_m,
             "submerged_x_m": 0.0,
@@ -175,7 +176,7 @@ class CapabilityTable(FileModel):
 
 
 class VesselFile(FileModel):
-    """`problems/vessels/*.toml`: matrices in SI, or dimensionless in the Bis system.
+    """Contents of a vessel file, with matrices in SI units or dimensionless in the Bis system.
 
     `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
     """
@@ -212,7 +213,8 @@ class VesselFile(FileModel):
     """D without dimension in the Bis system."""
 
     @model_validator(mode="after")
-    def _one_system(self) -> VesselFile:
+    def _check_complete(self) -> VesselFile:
+        """Raise ValueError for keys that do not define one complete vessel."""
         systems = ({"inertia", "damping"}, {"mass_kg", "inertia_bis", "damping_bis"})
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}
         if given not in systems:
@@ -223,20 +225,22 @@ class VesselFile(FileModel):
             raise ValueError("windage beside capability, which takes its areas from there")
         return self
 
-    def vessel(self, name: str, where: str) -> Vessel:
-        """Return the vessel in SI units; raises InputError naming `where`."""
+    def build_vessel(self, name: str, where: str) -> Vessel:
+        """Return the vessel in SI units; InputError naming `where` for unfit values."""
         if self.inertia is not None:
             M, D = np.array(self.inertia), np.array(self.damping)
         else:
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
             M = descale_bis(np.array(self.inertia_bis), self.mass_kg, self.length_m)
             D = descale_bis_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        thrusters = self._thrusters(where)
+        thrusters = self._build_thrusters(where)
         low, high, rate = self._force_limits(thrusters)
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
         reflection = WaveReflection(**water.model_dump()) if water else None
-        hull = self.capability.hull(self.length_m, windage) if self.capability and windage else None
+        hull = None
+        if self.capability and windage:
+            hull = self.capability.build_hull(self.length_m, windage)
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
             vessel = Vessel(*ship, windage, reflection, thrusters, hull)
@@ -249,7 +253,7 @@ class VesselFile(FileModel):
         return vessel
 
     def _check_units(self, surge_kg: float, where: str) -> None:
-        """Raise InputError where length and mass cannot be those of one ship in m and kg.
+        """Raise InputError where length and mass cannot be in m and kg.
 
         Ships are 0.5 to 5 % of the water in a cube of their length.
         """
@@ -259,16 +263,17 @@ class VesselFile(FileModel):
             allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
             raise InputError(where, "length_m", found, allowed)
 
-    def _thrusters(self, where: str) -> ThrusterSet | None:
+    def _build_thrusters(self, where: str) -> ThrusterSet | None:
+        """Return the thrusters in SI units; None where the file has none."""
         if not self.thrusters:
             return None
         try:
-            return ThrusterSet(tuple(table.thruster() for table in self.thrusters), where)
+            return ThrusterSet(tuple(table.build_thruster() for table in self.thrusters), where)
         except InputError as error:
             raise InputError(where, f"thrusters.{error.key}", error.found, error.allowed) from error
 
     def _force_limits(self, thrusters: ThrusterSet | None) -> tuple[Vector, Vector, Vector]:
-        """τ_min, τ_max, and the limit of the rate: (3,) each."""
+        """Return the lower, upper and rate limits of the control force, (3,) each."""
         if self.limits is None:
             assert thrusters is not None, "the validator demands one of the two"
             return *thrusters.limits(), thrusters.rate()

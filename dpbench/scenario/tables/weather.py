@@ -37,14 +37,15 @@ class SquallTable(FileModel):
 
     @field_validator("hold_until_s")
     @classmethod
-    def _risen(cls, hold_until_s: float, info: ValidationInfo) -> float:
+    def _check_hold_time(cls, hold_until_s: float, info: ValidationInfo) -> float:
+        """Raise ValueError where the squall stops holding before it has risen."""
         risen_s = info.data.get("start_s", 0.0) + info.data.get("rise_s", 0.0)
         if hold_until_s < risen_s:
             raise ValueError(f"start_s + rise_s = {risen_s:g} s or later")
         return hold_until_s
 
-    def squall(self, scale: Froude) -> Squall:
-        """In SI."""
+    def build_squall(self, scale: Froude) -> Squall:
+        """Return the squall in SI units."""
         return Squall(
             self.start_s * scale.time,
             self.rise_s * scale.time,
@@ -64,21 +65,21 @@ class WindTable(FileModel):
     gusts: Literal["norsok", "harris", "none"] = "norsok"
     """Spectrum of the gusts; none: a steady wind."""
 
-    def wind(self, scale: Froude) -> Wind:
-        """In SI."""
+    def build_wind(self, scale: Froude) -> Wind:
+        """Return the wind in SI units."""
         return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts)
 
 
 class CurrentTable(FileModel):
-    """A steady current."""
+    """Steady ocean current: speed and direction."""
 
     speed_mps: keys.NotNegative
     """Speed [m/s]."""
     towards_deg: keys.Degrees
     """Compass direction it sets towards [°]."""
 
-    def current(self, scale: Froude) -> Current:
-        """In SI."""
+    def build_current(self, scale: Froude) -> Current:
+        """Return the current in SI units."""
         return Current(self.speed_mps * scale.time, math.radians(self.towards_deg))
 
 
@@ -94,7 +95,7 @@ class MotionTable(FileModel):
 
 
 class WavesTable(FileModel):
-    """A JONSWAP sea: drift force on the ship, first-order motion in what is measured."""
+    """Irregular sea with a JONSWAP spectrum, and its effects on ship and measurement."""
 
     hs_m: keys.NotNegative
     """Significant height [m]."""
@@ -109,21 +110,21 @@ class WavesTable(FileModel):
     motion: MotionTable | None = None
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
-    def sea(self, scale: Froude) -> Sea:
-        """In SI."""
+    def build_sea(self, scale: Froude) -> Sea:
+        """Return the sea in SI units."""
         to_rad = towards_rad(self.from_deg)
         return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma)
 
-    def first_order(self, scale: Froude) -> FirstOrderMotion | None:
-        """In SI; None where the measurement shows none."""
+    def build_motion(self, scale: Froude) -> FirstOrderMotion | None:
+        """Return the wave-frequency motion in SI units; None where the measurement shows none."""
         motion = self.motion
         if motion is None:
             return None
-        turn = math.radians(motion.heading_deg_per_m) / scale.length
-        return FirstOrderMotion(self.sea(scale), motion.along_m_per_m, motion.across_m_per_m, turn)
+        sea, turn = self.build_sea(scale), math.radians(motion.heading_deg_per_m) / scale.length
+        return FirstOrderMotion(sea, motion.along_m_per_m, motion.across_m_per_m, turn)
 
     def motion_std(self, scale: Froude) -> Vector:
-        """(3,) standard deviation of the first-order motion, the direction of the waves unknown."""
+        """Return the standard deviation (3,) [m, m, rad] of the wave-frequency motion."""
         motion = self.motion or MotionTable()
         elevation = 0.25 * self.hs_m * scale.length
         widest = max(abs(motion.along_m_per_m), abs(motion.across_m_per_m))
@@ -132,19 +133,19 @@ class WavesTable(FileModel):
 
 
 class NoiseTable(FileModel):
-    """White noise of the sensors, standard deviations."""
+    """Standard deviations of the white noise of the sensors."""
 
     position_m: keys.NotNegative
     """Of north and east [m]."""
     heading_deg: keys.NotNegative
     """Of the heading [°]."""
 
-    def noise(self, scale: Froude) -> SensorNoise:
-        """In SI."""
+    def build_noise(self, scale: Froude) -> SensorNoise:
+        """Return the sensor noise in SI units."""
         return SensorNoise(self.std(scale))
 
     def std(self, scale: Froude) -> Vector:
-        """(3,) [m, m, rad]."""
+        """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
         metres = self.position_m * scale.length
         return np.array([metres, metres, math.radians(self.heading_deg)])
 
@@ -178,20 +179,20 @@ class EnvironmentTable(FileModel):
     noise: NoiseTable | None = None
     """Noise of the sensors."""
 
-    def environment(self, scale: Froude) -> Environment:
-        """Return the weather in SI."""
-        sea = self.waves.sea(scale) if self.waves else None
+    def build_environment(self, scale: Froude) -> Environment:
+        """Return the weather in SI units."""
+        sea = self.waves.build_sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,
             _PER_KN * np.array(self.amplitude_kN) * scale.force,
             np.array(self.period_s) * scale.time,
             np.array(self.phase_rad),
             self.ramp_s * scale.time,
-            squalls=tuple(squall.squall(scale) for squall in self.squalls),
-            wind=self.wind.wind(scale) if self.wind else None,
-            current=self.current.current(scale) if self.current else None,
+            squalls=tuple(squall.build_squall(scale) for squall in self.squalls),
+            wind=self.wind.build_wind(scale) if self.wind else None,
+            current=self.current.build_current(scale) if self.current else None,
             drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
-            motion=self.waves.first_order(scale) if self.waves else None,
-            noise=self.noise.noise(scale) if self.noise else None,
+            motion=self.waves.build_motion(scale) if self.waves else None,
+            noise=self.noise.build_noise(scale) if self.noise else None,
             seed=self.seed,
         )

@@ -30,7 +30,7 @@ _TABLE = np.array([CALM, *DP_CONDITIONS.values()])
 
 @dataclass(frozen=True)
 class Condition:
-    """Mean wind [m/s] 10 m above the water, Hs [m], Tp [s], current [m/s]."""
+    """Weather of a DP capability number: mean wind [m/s], waves Hs [m], Tp [s], current [m/s]."""
 
     wind_mps: float
     hs_m: float
@@ -39,12 +39,12 @@ class Condition:
 
     @property
     def zero_crossing_s(self) -> float:
-        """Tz = Tp/1.4049, of Pierson and Moskowitz's spectrum."""
+        """Mean zero-crossing period [s] of a Pierson-Moskowitz spectrum, from its peak period."""
         return self.tp_s / 1.4049
 
 
 def interpolate_condition(wind_mps: float) -> Condition:
-    """Return waves and current of a wind, linear between the rows of the table, held above it.
+    """Return the waves and current for a wind speed, interpolated in the standard's table.
 
     The standard has the rows alone; interpolation is ours.
     """

@@ -31,7 +31,7 @@ DYNAMIC_FACTOR = 1.25
 
 @dataclass(frozen=True)
 class CapabilityHull:
-    """A hull at its summer draught (table A-2); places are ahead of and to starboard of L_pp/2.
+    """Hull dimensions and areas that the load formulas of DNV-ST-0111 need.
 
     length_m, breadth_m, draught_m : L_pp, B at the waterline, T.
     submerged_length_m, submerged_x_m : L_os from the foremost to the aftmost point under water, and
@@ -62,12 +62,12 @@ class CapabilityHull:
 
 
 def fold_angle(from_rad: float) -> float:
-    """Return γ' in 0…π."""
+    """Return the angle from which weather comes, mirrored to one side of the ship: 0 to π."""
     return abs(math.remainder(from_rad, 2.0 * math.pi))
 
 
 def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> Matrix:
-    """Return surge, sway [N] and yaw [N·m] of wind, current and waves from γ [rad]: (3, 3)."""
+    """Return the mean loads of wind, current and waves in surge, sway [N] and yaw [N·m]: (3, 3)."""
     along, across = math.cos(from_rad), math.sin(from_rad)
     side = fold_angle(from_rad) / math.pi
     L = hull.length_m
@@ -76,7 +76,7 @@ def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> M
     water = 0.5 * WATER_DENSITY * condition.current_mps**2
     shift = min(max(0.4 * (1.0 - 2.0 * side), -0.2), 0.25)
     wave_arm = hull.submerged_x_m + (0.05 - 0.14 * side) * hull.submerged_length_m
-    drift_x, drift_y = _drift(hull, condition, from_rad)
+    drift_x, drift_y = _wave_drift(hull, condition, from_rad)
     forces = [
         (-0.7 * air * hull.frontal_m2 * along, -0.9 * air * hull.lateral_m2 * across, wind_arm),
         (
@@ -89,8 +89,8 @@ def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> M
     return np.array([(X, Y, Y * arm) for X, Y, arm in forces])
 
 
-def _drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
-    """Return the wave drift in surge and sway [N]."""
+def _wave_drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
+    """Return the mean wave drift force in surge and sway [N]."""
     pressure = 0.09 * 0.5 * WATER_DENSITY * GRAVITY * condition.hs_m**2
     Tz, turned = condition.zero_crossing_s, fold_angle(from_rad)
     ahead = 0.8 * hull.bow_angle_rad**0.45

@@ -31,7 +31,7 @@ TURN = 2.0 * math.pi
 def vented_share(
     thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
 ) -> float:
-    """Return β_vent in waves from γ; 1 for a thruster without a known screw."""
+    """Return the share of thrust left when waves let the propeller draw air (β_vent)."""
     screw = thruster.screw
     if screw is None or screw.height_m is None:
         return 1.0
@@ -48,21 +48,21 @@ def vented_share(
 
 @dataclass(frozen=True)
 class Loss:
-    """The share of thrust left between the directions start and end [rad], least at `worst`."""
+    """Share of an azimuth's thrust left between directions start and end [rad], least at worst."""
 
     start: float
     worst: float
     end: float
     share: Callable[[float], float]
 
-    def at(self, direction: float) -> float:
-        """Return the share at any direction; 1 where there is no loss."""
+    def share_at(self, direction: float) -> float:
+        """Return the share of thrust left in a direction [rad]; 1 outside the range of loss."""
         inside = self.start + (direction - self.start) % TURN
         return self.share(inside) if inside < self.end else 1.0
 
 
 def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
-    """Return the (from, to) [rad] in which an azimuth would flush a working thruster."""
+    """Return the ranges of directions [rad] in which an azimuth would flush a working thruster."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
         return []
@@ -73,13 +73,13 @@ def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tup
             continue
         if 0.0 < distance < FLUSHING_DIAMETERS * screw.diameter_m:
             half = math.atan(0.1 + screw.diameter_m / distance)
-            centre = _away(thruster, other)
+            centre = _direction_away(thruster, other)
             zones.append((centre - half, centre + half))
     return zones
 
 
 def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
-    """Return the losses of an azimuth whose race hits a dead thruster; no tunnel is hit.
+    """Return the thrust losses of an azimuth whose propeller race hits a dead thruster.
 
     From β at the centre to 1 at both edges the largest thrust lies on a straight line.
     """
@@ -95,16 +95,18 @@ def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
             continue
         half = math.atan(spread / diameters)
         beta = 1.0 - 1.0 / (0.02 * diameters**2 + 0.25 * diameters + 1.2)
-        losses.append(_notch(_away(thruster, other), half, beta))
+        losses.append(_dead_thruster_loss(_direction_away(thruster, other), half, beta))
     return losses
 
 
-def _away(thruster: Thruster, other: Thruster) -> float:
-    """Return the direction [rad] in which a thruster pushes while its race meets the other."""
+def _direction_away(thruster: Thruster, other: Thruster) -> float:
+    """Return the direction [rad] of thrust that sends a thruster's race onto another thruster."""
     return math.atan2(thruster.y_m - other.y_m, thruster.x_m - other.x_m)
 
 
-def _notch(centre: float, half: float, beta: float) -> Loss:
+def _dead_thruster_loss(centre: float, half: float, beta: float) -> Loss:
+    """Return the loss around a direction, from share `beta` at the centre to 1 at the edges."""
+
     def share(direction: float) -> float:
         off = abs(direction - centre)
         return beta * math.sin(half) / (math.sin(half - off) + beta * math.sin(off))
@@ -113,7 +115,7 @@ def _notch(centre: float, half: float, beta: float) -> Loss:
 
 
 def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
-    """Return the losses of an azimuth whose race hits a skeg, linear between three directions.
+    """Return the thrust losses of an azimuth whose propeller race hits a skeg.
 
     Tables 3-7 and 3-8 are mirror images, so they are one in the angle towards the thruster's side.
     """
@@ -129,11 +131,12 @@ def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
         distance = math.hypot(ahead, aside) if ahead > 0.0 else aside
         if aside > 0.0 and distance < reach * screw.diameter_m:
             jet = math.atan(0.6 * screw.diameter_m / distance)
-            losses.append(_skeg(ahead, aside, jet, thruster.y_m < y_m))
+            losses.append(_skeg_loss(ahead, aside, jet, thruster.y_m < y_m))
     return losses
 
 
-def _skeg(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+def _skeg_loss(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+    """Return the loss by one skeg, which lies `ahead` and `aside` [m] of the azimuth."""
     flush = 0.5 * math.pi + math.atan(ahead / aside)
     worst = min(max(flush + jet, 0.5 * math.pi), math.pi)
     start, end = max(flush - jet, 0.0), min(worst + 4.0 * jet, math.pi)

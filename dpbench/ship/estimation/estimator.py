@@ -21,12 +21,12 @@ TURN = 2.0 * math.pi
 
 @njit(cache=True)
 def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
-    """Return the angle equal to heading_rad up to whole turns that lies within π of near_rad."""
+    """Return heading_rad shifted by whole turns to within π of near_rad."""
     return heading_rad + TURN * np.rint((near_rad - heading_rad) / TURN)
 
 
 class Estimator(ABC):
-    """Estimator of the ship's state in one run.
+    """Estimator of the ship's low-frequency state from measured position and heading.
 
     Order in the loop: `start` with the state at t_0, then one `update` per sample, the first with
     the measurement at t_0 itself: it advances nothing, and its τ is not read.
@@ -41,11 +41,11 @@ class Estimator(ABC):
 
     @abstractmethod
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,) = [u, v, r, n, e, ψ], SI, ψ unwrapped."""
+        """Set the estimate to the state (6,) = [u, v, r, n, e, ψ] at the start of a run."""
 
     @abstractmethod
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """Return the low-frequency state (6,), ψ unwrapped; the next update overwrites it.
+        """Return the low-frequency state (6,), estimated from measurement and applied force.
 
         measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ], wave motion and noise included; ψ may
             be wrapped. A filter reads the pose only: there is no sensor of low-frequency speed.
@@ -54,20 +54,20 @@ class Estimator(ABC):
 
 
 class MeasuredState(Estimator):
-    """No estimator: the controller acts on the measured state (6,), wave motion included."""
+    """Placeholder estimator that returns the measured state, wave motion included."""
 
     def __init__(self) -> None:
         self._estimate, self.change = np.zeros(STATE), np.zeros(STATE)
         self._first = True
 
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with no change before it."""
+        """Set the last measured state to the state (6,) at the start of a run."""
         self._estimate[...] = state
         self.change[...] = 0.0
         self._first = True
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """Return the measurement; store its change. Raises ShapeError unless it is (6,)."""
+        """Return the measurement as the estimate; store its change since the last one."""
         if measured.shape != (STATE,):
             raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
         estimate, change = self._estimate, self.change

@@ -38,7 +38,7 @@ JONSWAP_DAMPING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class WaveModel:
-    """First-order wave motion as filtered white noise, one oscillator per axis.
+    """First-order wave motion in three axes, as white noise filtered by an oscillator each.
 
         h(s) = K_w s / (s² + 2 λ ω0 s + ω0²),     ω0 = 2π / T_p,     K_w = 2 σ √(λ ω0)
         ξ̇1 = ξ2,   ξ̇2 = −ω0² ξ1 − 2 λ ω0 ξ2 + K_w w,   wave motion = ξ2
@@ -58,24 +58,24 @@ class WaveModel:
 
     @classmethod
     def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
-        """Make a model with the same peak and JONSWAP's damping in every axis."""
+        """Build the wave model of a peak period [s], with the same damping in every axis."""
         return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
     @property
     def omega0_radps(self) -> Vector:
-        """ω0 (3,) [rad/s]."""
+        """Natural frequencies ω0 (3,) [rad/s] of the wave oscillators."""
         omega0: Vector = 2 * np.pi / self.peak_period_s
         return omega0
 
     @property
     def K_w(self) -> Vector:
-        """Gain of the driving noise (3,) [m/s^1.5, m/s^1.5, rad/s^1.5]."""
+        """Gains (3,) of the driving white noise [m/s^1.5, m/s^1.5, rad/s^1.5]."""
         gain: Vector = 2 * self.std * np.sqrt(self.damping * self.omega0_radps)
         return gain
 
 
 def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
-    """Return J (6, 6), exact for a held f and heading.
+    """Return the matrix (6, 6) from velocity and force to the change of velocity and pose.
 
     With the state [∫ν; ν] advanced by [[I, F_p], [0, F_v]] and [G_p; G_v] f over the sample, and
     ν⁻ = F_v⁻¹ (ν − G_v f) the speed before it: Δν = ν − ν⁻, RᵀΔη = F_p ν⁻ + G_p f.
@@ -97,7 +97,7 @@ def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
 
 @njit(cache=True)
 def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] # compiled by numba
-    """Write [Δν, Δη] (6,) into change, for estimate (6,), force tau (3,) and bias b (3,), NED."""
+    """Write the model's change of velocity and pose (6,) in one sample to `change`."""
     c, s = np.cos(estimate[HEADING]), np.sin(estimate[HEADING])
     f0 = tau[0] + c * b[0] + s * b[1]
     f1 = tau[1] + c * b[1] - s * b[0]
@@ -114,7 +114,7 @@ def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] #
 
 
 class ModelObserver(Estimator):
-    """An observer with a state of `WITHOUT_WAVES` or `WITH_WAVES` entries; ship is the model's."""
+    """Observer base class with a ship model, a bias force and optional wave states."""
 
     def __init__(self, ship: Vessel, sample_s: float, states: int) -> None:
         self._J: Matrix = change_matrix(ship, sample_s)
@@ -123,7 +123,7 @@ class ModelObserver(Estimator):
         self._advance = False
 
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with neither bias nor wave motion."""
+        """Set the observer to the state (6,) at the start of a run, without bias or wave motion."""
         self._x[...] = 0.0
         self._x[ETA:BIAS], self._x[NU:XI1] = state[POSE], state[VELOCITY]
         self._estimate[...] = state
@@ -132,5 +132,5 @@ class ModelObserver(Estimator):
 
     @property
     def bias(self) -> Vector:
-        """Estimated bias (3,), north, east, yaw [N, N, N·m]."""
+        """Estimated bias force (3,), north, east, yaw [N, N, N·m]."""
         return self._x[BIAS:NU].copy()

@@ -30,7 +30,7 @@ _ROWS = 1024
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """Return the random stream of the source `name` under `seed` (0 or more), at its beginning.
+    """Return the random generator of a named source under a seed, at its beginning.
 
     The name is part of the key: a source draws the same numbers whatever other sources there are.
     """
@@ -41,14 +41,14 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True, eq=False)
 class Harmonics:
-    """Harmonics of one amplitude, in the unit of the process; omega, phase (N,) [rad/s], [rad]."""
+    """Sum of harmonics of equal amplitude that represents a random process."""
 
     amplitude: float
     omega: Vector
     phase: Vector
 
     def at(self, start_s: Vector, offset_s: Vector, derivative: int = 0) -> NDArray[np.complex128]:
-        """Return z, or a derivative of it, at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return the complex process, or a derivative of it, at all sums of two times: (K, M)."""
         # Times in two parts factor the sum into K·N and M·N exponentials. It is summed without
         # BLAS, so that no thread count changes its last bits.
         later = np.exp(1j * np.outer(offset_s, self.omega))
@@ -68,7 +68,7 @@ def draw_harmonics(
     rng: np.random.Generator,
     variance: float | None = None,
 ) -> Harmonics:
-    """Draw `count` harmonics of the spectrum `density` [unit²·s/rad] over `band` [rad/s].
+    """Draw random harmonics of a spectral density over a band of frequencies [rad/s].
 
     variance : of the process; the integral of the density over the band when None.
     """
@@ -84,7 +84,7 @@ def draw_harmonics(
 
 
 def norsok_gust(f_Hz: Vector, mean_mps: float) -> Vector:
-    """Return the gust density [(m/s)²/Hz] at 10 m for the mean speed at 10 m.
+    """Return the NORSOK spectral density of wind gusts [(m/s)²/Hz] at 10 m height.
 
     Source: Andersen & Løvseth 2006, Marine Structures 19; NORSOK N-003; ISO 19901-1.
     """
@@ -95,7 +95,7 @@ def norsok_gust(f_Hz: Vector, mean_mps: float) -> Vector:
 
 
 def harris_gust(f_Hz: Vector, mean_mps: float) -> Vector:
-    """Return the gust density [(m/s)²/Hz] for the mean speed at 10 m.
+    """Return the Harris spectral density of wind gusts [(m/s)²/Hz].
 
     Source: Harris 1971; Faltinsen 1990, eq. 2.40, who advises against it below 0.01 Hz.
     """
@@ -106,7 +106,7 @@ def harris_gust(f_Hz: Vector, mean_mps: float) -> Vector:
 
 
 def jonswap(omega: Vector, hs_m: float, tp_s: float, gamma: float) -> Vector:
-    """Return the density of the wave elevation [m²·s/rad] at ω [rad/s]; γ = 1: Pierson-Moskowitz.
+    """Return the JONSWAP spectral density of the wave elevation [m²·s/rad].
 
     Source: DNV-RP-C205, section 3.5.5. A_γ is a fit: the integral is Hs²/16 within 1 % up to γ = 5.
     """

@@ -28,7 +28,7 @@ _COMPONENTS = 200
 
 @dataclass(frozen=True)
 class Sea:
-    """Long-crested irregular waves.
+    """Long-crested irregular sea: wave height, period, direction.
 
     hs_m, tp_s : significant height [m], peak period [s].
     to_rad : where the waves run to, clockwise from north [rad].
@@ -41,7 +41,7 @@ class Sea:
     gamma: float = 3.3
 
     def harmonics(self, seed: int) -> Harmonics:
-        """Draw the waves of this seed, the same for drift and motion; Hs holds exactly."""
+        """Draw the wave components of a seed; their significant wave height is exact."""
         omega_p = 2 * np.pi / self.tp_s
         return draw_harmonics(
             lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),
@@ -54,18 +54,18 @@ class Sea:
 
 @dataclass(frozen=True)
 class WaveDrift:
-    """Slowly varying drift in a sea."""
+    """Slowly varying wave drift force on the ship."""
 
     sea: Sea
 
     def envelope(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
-        """Return |Z| [m] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return the envelope of the wave elevation [m] at times start_s (K,) + offset_s (M,)."""
         return np.abs(self.sea.harmonics(seed).at(start_s, offset_s))
 
 
 @dataclass(frozen=True)
 class WaveReflection:
-    """Reflection of waves by the hull at the waterline, for drift forces.
+    """Reflection of waves by the hull at the waterline, which causes drift forces.
 
     R² falls with the period, since long waves pass under the hull: R² = R₀² f(T'), f = 1 for
     T' ≤ 1, else T'⁻³ exp(1 − T'⁻³), with T' = Tz/(0.75 √B) abeam and Tz/(0.9 L^0.33) ahead and
@@ -81,7 +81,7 @@ class WaveReflection:
     yaw: float = 0.018
 
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
-        """Return ½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
+        """Return the wave drift coefficients (3,) [N/m², N/m², N/m] of surge, sway and yaw."""
         tz_s = sea.tp_s / 1.4049
         ahead = period_factor(tz_s / (0.9 * length_m**0.33))
         abeam = period_factor(tz_s / (0.75 * self.breadth_m**0.5))
@@ -94,14 +94,14 @@ class WaveReflection:
 
 
 def period_factor(t_prime: float) -> float:
-    """Return f(T'), by which drift falls in long waves; 1 up to T' = 1 (DNV-ST-0111, 3.7)."""
+    """Return the factor by which wave drift falls in long waves, from the relative period T'."""
     cubed = max(t_prime, 1.0) ** -3
     return float(cubed * np.exp(1.0 - cubed))
 
 
 @dataclass(frozen=True)
 class FirstOrderMotion:
-    """Wave-frequency motion of the ship in a sea.
+    """First-order motion of the ship, with the frequency of the waves.
 
     Along the waves it lags the elevation by a quarter period, as the water itself does; across
     and heading follow the elevation. The operators hold at all frequencies and headings; they are
@@ -114,7 +114,7 @@ class FirstOrderMotion:
     heading_rad_per_m: float = 0.0
 
     def table(self, t_s: Vector, seed: int) -> Matrix:
-        """Return motion and its rate at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at times t_s (K,): (K, 6), SI."""
         harmonics, here = self.sea.harmonics(seed), np.zeros(1)
         c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
         columns = []

@@ -31,20 +31,20 @@ _COMPONENTS = 200
 
 
 def towards_rad(from_deg: float) -> float:
-    """Return the direction [rad] in [−π, π] to which wind from compass degrees blows."""
+    """Convert a compass direction that wind comes from [°] to the direction it blows to [rad]."""
     return math.radians(math.remainder(from_deg + 180.0, 360.0))
 
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind of mean speed and constant direction, 10 m above the water, with gusts along it."""
+    """Wind of constant direction, with gusts around a mean speed at 10 m height."""
 
     speed_mps: float
     to_rad: float
     gusts: Literal["norsok", "harris", "none"] = "norsok"
 
     def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
-        """Return the wind speed [m/s] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return the wind speed [m/s] at times start_s (K,) + offset_s (M,): (K, M)."""
         if self.gusts == "none" or self.speed_mps == 0.0:
             return np.full((start_s.size, offset_s.size), self.speed_mps)
         spectrum, turn = _GUSTS[self.gusts], 2 * np.pi
@@ -61,7 +61,7 @@ class Wind:
 
 @dataclass(frozen=True)
 class Windage:
-    """Projected areas A_F, A_L of the hull above the water, and their coefficients.
+    """Projected areas of the hull above water, and their wind force coefficients.
 
     Fossen 2021 gives 0.50-0.90, 0.70-0.95 and 0.05-0.20; DNV-ST-0111, section 3.5, has 0.7, 0.9
     and about 0.095.
@@ -74,7 +74,7 @@ class Windage:
     c_n: float = 0.095
 
     def coefficients(self, length_m: float) -> Vector:
-        """Return ½ρ (c_x A_F, c_y A_L, c_n A_L L): (3,) [kg/m, kg/m, kg]."""
+        """Return the wind force coefficients (3,) [kg/m, kg/m, kg] of surge, sway and yaw."""
         side = self.lateral_m2
         areas = [self.c_x * self.frontal_m2, self.c_y * side, self.c_n * side * length_m]
         return 0.5 * AIR_DENSITY * np.array(areas)

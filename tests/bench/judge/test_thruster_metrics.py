@@ -140,7 +140,7 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    limits = [ROWS.without({1})] * 2
+    limits = [ROWS.limits_after_loss({1})] * 2
     for main, share in ((0.0, 0.0), (400.0, 0.5)):
         run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
         assert thruster_metrics(ship(), run, limits)["at_limit_thrusters"] == share

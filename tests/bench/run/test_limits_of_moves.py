@@ -108,7 +108,7 @@ def test_every_thruster_is_limited_as_a_whole(
 ) -> None:
     found, move = np.full(3, np.nan), np.array(df, dtype=float)
     limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
-    clipped = limit(np.array(f, dtype=float), move, ROWS.without(lost), found)
+    clipped = limit(np.array(f, dtype=float), move, ROWS.limits_after_loss(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
     assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
 
@@ -142,7 +142,7 @@ def test_an_azimuth_is_cut_along_its_move(
     rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
     limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
     move = np.array(df, dtype=float)
-    assert limit(np.array(f, dtype=float), move, rows.without(lost), found)
+    assert limit(np.array(f, dtype=float), move, rows.limits_after_loss(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
 
 

@@ -173,7 +173,7 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 ) -> None:
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    limits = low, high, _ = ROWS.without(lost)
+    limits = low, high, _ = ROWS.limits_after_loss(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
     clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()
@@ -201,5 +201,5 @@ def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() ->
         np.testing.assert_allclose(tau, SHIP.T_e @ (goal * (1 - decay)), rtol=1e-9, atol=1e-6)
     for _ in range(100):
         thrusters.deliver(np.full(7, 1e6))
-    assert (SHIP.size(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
-    assert SHIP.size(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]
+    assert (SHIP.magnitudes(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
+    assert SHIP.magnitudes(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]

@@ -40,7 +40,7 @@ assert RATOWNIK is not None
 
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
     rows = thruster_rows(thrusters, SIDES)
-    low, high, _ = rows.without(set(thrusters.groups[group]))
+    low, high, _ = rows.limits_after_loss(set(thrusters.groups[group]))
     allocation = LossAllocation(thrusters, rows)
     l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
     return allocation.problem(l[0], u[0])

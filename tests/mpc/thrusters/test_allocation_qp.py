@@ -148,10 +148,10 @@ def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
 
 def test_the_pseudo_inverse_without_lost_thrusters() -> None:
     case, tau = problem(), np.array([5e4, -3e4, 8e5])
-    f = case.pseudo_inverse(case.rows.without({1, 4}).lost) @ tau
+    f = case.pseudo_inverse(case.rows.limits_after_loss({1, 4}).lost) @ tau
     assert (f[[2, 3, 7]] == 0.0).all()
     np.testing.assert_allclose(SHIP.T_e @ f, tau, rtol=1e-9)
-    tunnel_alone = case.pseudo_inverse(case.rows.without({0, 1, 2, 4}).lost) @ tau
+    tunnel_alone = case.pseudo_inverse(case.rows.limits_after_loss({0, 1, 2, 4}).lost) @ tau
     scaled = SHIP.T_e[:, 6] / STEP_MAX
     assert tunnel_alone[6] == pytest.approx(scaled @ (tau / STEP_MAX) / (scaled @ scaled))
 
@@ -184,7 +184,7 @@ def test_equalities_have_two_equal_sides(units: Any) -> None:
 def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
     """From wherever it was, whatever is demanded."""
     case, lost = problem(), {0, 3}
-    builder, limits = AllocationQP(case), case.rows.without(lost)
+    builder, limits = AllocationQP(case), case.rows.limits_after_loss(lost)
     for seed in range(4):
         tau, f = situation(seed)
         for _ in range(int(np.ceil(8.0 / SAMPLE_S / RAMP_DOWN_SHARE)) + 1):
@@ -222,7 +222,7 @@ def forces(thrusters: ThrusterSet, qp: QuadraticProgram) -> np.ndarray:
 def test_the_optimum_balances_the_load_with_the_least_effort(thrusters: ThrusterSet) -> None:
     """T_e f = −load, and f is the weighted pseudo-inverse where no limit is met."""
     load = np.array([-4e4, 3e4, -2e5])
-    f = forces(thrusters, allocation(thrusters).qp(load, FULL, WHOLE, NONE_LOST))
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, NONE_LOST))
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
     W_inverse, T_e = np.diag(thrusters.per_entry(thrusters.thrust_N) ** 2), thrusters.T_e
     expected = W_inverse @ T_e.T @ np.linalg.solve(T_e @ W_inverse @ T_e.T, -load)
@@ -235,13 +235,13 @@ def test_the_most_ahead_is_full_thrust_times_its_share(thrusters: ThrusterSet, s
     shares = np.array([0.9, 0.9, 0.5])
     program = allocation(thrusters, sides=sides)
     for load_N, kind in ((1.8e5 * (1 - 1e-9), False), (1.8e5 * (1 + 1e-9), True)):
-        qp = program.qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
+        qp = program.build_qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
         assert (certify(qp).kind == "infeasible") is kind
 
 
 def test_what_is_lost_gives_nothing(thrusters: ThrusterSet) -> None:
     load = np.array([-4e4, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters).qp(load, FULL, WHOLE, frozenset({0})))
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, frozenset({0})))
     np.testing.assert_allclose(f[:2], 0.0, atol=1e-9)
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
 
@@ -251,7 +251,7 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
     chord = np.array([[math.cos(-0.5), math.sin(-0.5), 0.4]])
     chosen = Piece((-1.0, -0.2), chord), Piece(), Piece()
     load = np.array([-1.2e5, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters, room=True).qp(load, FULL, chosen, NONE_LOST))
+    f = forces(thrusters, allocation(thrusters, room=True).build_qp(load, FULL, chosen, NONE_LOST))
     angle, size = math.atan2(f[1], f[0]), math.hypot(f[0], f[1])
     assert -1.0 - 1e-9 <= angle <= -0.2 + 1e-9
     assert size * math.cos(angle + 0.5) <= 0.4e5 * (1 + 1e-9)
@@ -260,8 +260,7 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
 
 def test_room_for_pieces_changes_the_shape_and_not_the_answer(thrusters: ThrusterSet) -> None:
     load = np.array([-1.5e5, 4e4, 1e6])
-    narrow, wide = (
-        allocation(thrusters, room=room).qp(load, FULL, WHOLE, NONE_LOST) for room in (False, True)
-    )
+    builders = (allocation(thrusters, room=room) for room in (False, True))
+    narrow, wide = (builder.build_qp(load, FULL, WHOLE, NONE_LOST) for builder in builders)
     assert wide.m == narrow.m + 2 * (2 + 3)
     np.testing.assert_allclose(certify(wide).z, certify(narrow).z, atol=1e-12)

@@ -126,7 +126,7 @@ def test_matrices_are_the_paper_s_expanded_by_the_configuration_matrix() -> None
 def test_all_forms_of_the_problem_have_one_optimum(seed: int, lost: set[int]) -> None:
     control = problem()
     assert control.thrusters is not None
-    limits = control.thrusters.without(lost) if lost else None
+    limits = control.thrusters.limits_after_loss(lost) if lost else None
     x, y_ref, f = situation(seed)
     builder = CondensedQP(control)
     qp = builder.problem(builder.emit(x, y_ref, f, limits=limits))
@@ -153,7 +153,7 @@ def test_softened_limits_change_nothing_where_they_can_be_kept() -> None:
     assert (softened.block, softened.n, softened.m) == (7 + 4, 3 * 11, 3 * 26)
     np.testing.assert_allclose(soft.moves(certify(softened).z), hard.moves(exact.z), atol=1e-3)
     assert control.thrusters is not None
-    gone = control.thrusters.without({0})
+    gone = control.thrusters.limits_after_loss({0})
     lost = certify(soft.problem(soft.emit(x, y_ref, f, limits=gone)))
     slack = lost.z.reshape(3, 11)[:, 7:]
     assert lost.bound < 1e-9 and slack[0, 0] > 0.1 and np.abs(slack[:, 1:]).max() < 1e-9

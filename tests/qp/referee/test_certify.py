@@ -14,7 +14,7 @@ from dpbench.qp.referee import oracle
 from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
 from dpbench.qp.referee.gap import gap_certificate
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import Referee, certify, get_shared_referee, measure_error
@@ -83,11 +83,11 @@ def test_bounds_of_the_inverse_hold(seed: int) -> None:
 
 
 def test_singular_matrix_is_not_proven_definite() -> None:
-    assert positive_definite(np.diag([1.0, 1e-8]))
+    assert is_positive_definite(np.diag([1.0, 1e-8]))
     for smallest in (0.0, -1e-18, -1e-8):
-        assert not positive_definite(np.diag([1.0, smallest]))
+        assert not is_positive_definite(np.diag([1.0, smallest]))
     v = np.array([[1.0], [0.1]])
-    assert not positive_definite(v @ v.T)
+    assert not is_positive_definite(v @ v.T)
 
 
 def test_definiteness_survives_rounding() -> None:
@@ -98,7 +98,7 @@ def test_definiteness_survives_rounding() -> None:
         P = 0.5 * (B.T @ B + (B.T @ B).T)
         if not is_semidefinite(Dyadic.of(P).whole):
             indefinite += 1
-            assert not positive_definite(P)
+            assert not is_positive_definite(P)
     assert indefinite > 10
 
 

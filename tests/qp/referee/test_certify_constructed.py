@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.implied import fix_forced
+from dpbench.qp.referee.feasibility.implied import fix_forced_variables
 from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import certify
@@ -181,7 +181,7 @@ def test_fixing_keeps_the_optimum(seed: int) -> None:
     """The certificate with fixed variables encloses the optimum of the problem as posed."""
     qp = _dropped(3, 2, seed)
     joint = JointQP.of(qp)
-    assert fix_forced(joint) is not None
+    assert fix_forced_variables(joint) is not None
     guess = np.zeros(qp.n + qp.m, dtype=np.int8)
     exact = rational_certificate(joint, ExactMatrices.of(joint.P, joint.C), guess)
     optimum = certify(qp)
@@ -193,7 +193,7 @@ def test_one_bit_of_freedom_is_not_forcing() -> None:
     one, ten = np.ones(1), np.full(1, 10.0)
     for limit, forcing in ((-10.0, True), (np.nextafter(-10.0, 0.0), False)):
         qp = QuadraticProgram(np.eye(1), one, np.eye(1), [-np.inf], [limit], -ten, ten)
-        assert (fix_forced(JointQP.of(qp)) is not None) is forcing
+        assert (fix_forced_variables(JointQP.of(qp)) is not None) is forcing
         optimum = certify(qp)
         assert abs(optimum.z[0] + 10.0) <= optimum.bound + 2e-15
         assert optimum.bound <= 1e-12

@@ -34,7 +34,7 @@ UNIT_ROUNDOFF = Fraction(1, 2**53)
 def compiled_residual(K, x, b):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """b − K x as the certificate's kernel calculates it, compiled."""
     r = np.zeros(len(b))
-    kernels._residual(K, x, b, r)
+    kernels._write_residual(K, x, b, r)
     return r
 
 
@@ -61,7 +61,7 @@ def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int)
     # With the product rounded once as the other side, the residual is that rounding.
     b = np.array([-float(value) for value in _exactly(K, x, np.zeros(N))[0]])
     r, interpreted = compiled_residual(K, x, b), np.zeros(N)
-    kernels._residual.py_func(K, x, b, interpreted)
+    kernels._write_residual.py_func(K, x, b, interpreted)
     assert (r == interpreted).all()
     steps = (N + 1) * UNIT_ROUNDOFF
     for found, exact, size in zip(r.tolist(), *_exactly(K, x, b), strict=True):
@@ -184,7 +184,7 @@ def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPat
 
 
 def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(referee, "guesses", lambda problem: pytest.fail("a guesser was asked"))
+    monkeypatch.setattr(referee, "guess_active_sets", lambda problem: pytest.fail("guessed"))
     n, none = 5, np.zeros(0)
     steady = Referee(np.eye(n) + 0.1, np.zeros((0, n)), -np.ones(n), np.ones(n))
     sets = set()

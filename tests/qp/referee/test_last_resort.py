@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
-from dpbench.qp.referee.feasibility.implied import drop_empty_rows, tighten_implied
+from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
@@ -234,12 +234,12 @@ def test_implied_equalities_are_found_exactly() -> None:
     problem = drop_empty_rows(_cycle())
     assert np.isinf(problem.L[7])
     touched = np.array([-1] * 5 + [1, 1] + [0] * 6, dtype=np.int8)
-    found = tighten_implied(problem, touched)
+    found = make_equalities(problem, touched)
     assert found is not None
     equal = found.L == found.U
     assert equal.sum() == 5
     assert np.linalg.matrix_rank(found.C[equal]) == 5
-    assert tighten_implied(drop_empty_rows(_cycle(2.0**-60)), touched) is None
+    assert make_equalities(drop_empty_rows(_cycle(2.0**-60)), touched) is None
 
 
 def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.feasibility.rounding import least_violation, limit_sizes
+from dpbench.qp.referee.feasibility.rounding import bound_least_violation, limit_sizes
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 
@@ -90,7 +90,7 @@ def test_bounds_enclose_the_least_violation(violation: float, plant: Any, scale:
     room = Fraction(float(upper[0])) + (Fraction(float(lower[1])) if qp.n == 1 else 0)
     exact = Fraction(float(-qp.u[0])) / room
     optimum = certify(qp)
-    found = least_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
+    found = bound_least_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
     assert Fraction(found.lower) <= exact
     assert found.lower >= 0.999 * float(exact)
     if found.upper < INF:
@@ -171,13 +171,13 @@ U = 2.0**-53
 )
 def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
     """A violation below γ_{n+2} is undecided, one above it is not."""
-    assert least_violation(_opposed(units * U, 1.0, n)).undecided is undecided
+    assert bound_least_violation(_opposed(units * U, 1.0, n)).undecided is undecided
 
 
 @pytest.mark.parametrize(("n", "roundings"), [(1, 3), (3, 5)])
 def test_the_bound_is_more_than_its_first_order(n: int, roundings: int) -> None:
     """The bound γ_k = k u/(1 − k u) is k u + (k u)² and a little more."""
-    bound = least_violation(_opposed(2 * U, 1.0, n)).rounding
+    bound = bound_least_violation(_opposed(2 * U, 1.0, n)).rounding
     assert roundings * U < bound < roundings * U * (1.0 + 2 * roundings * U)
 
 

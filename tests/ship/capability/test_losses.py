@@ -35,7 +35,7 @@ def test_factors_are_the_published_ones(
             if i < 2:
                 # Counter-clockwise there, clockwise here; so port is −y there and here the first.
                 pushed = -math.radians(float(getattr(row, f"angle_{i + 1}")))
-                skeg = min(loss.at(pushed) for loss in skeg_losses(thruster, hull))
+                skeg = min(loss.share_at(pushed) for loss in skeg_losses(thruster, hull))
                 allowed = 0.03 if skeg < 1.0 else allowed
             found = MISCELLANEOUS * vented * skeg
             assert found == pytest.approx(getattr(row, f"loss_{i + 1}"), abs=allowed), (row, i)
@@ -80,13 +80,13 @@ def test_a_dead_thruster_takes_thrust_along_a_straight_line() -> None:
     """By hand: 5 diameters astern, β = 1 − 1/2.95 = 0.661, φ = arctan 0.12 = 6.843°."""
     (loss,) = dead_losses(azimuth(0.0, 0.0), [azimuth(-10.0, 0.0)])
     assert math.degrees(loss.end) == pytest.approx(6.843, abs=5e-4)
-    assert loss.at(0.0) == pytest.approx(1.0 - 1.0 / 2.95)
+    assert loss.share_at(0.0) == pytest.approx(1.0 - 1.0 / 2.95)
     angle = np.linspace(0.0, loss.end, 40)[:-1]
-    edge = np.array([loss.at(a) * np.array([math.cos(a), math.sin(a)]) for a in angle])
+    edge = np.array([loss.share_at(a) * np.array([math.cos(a), math.sin(a)]) for a in angle])
     along = np.diff(edge, axis=0)
     turned = along[1:, 0] * along[:-1, 1] - along[1:, 1] * along[:-1, 0]
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
-    assert loss.at(loss.end) == loss.at(2.0) == 1.0
+    assert loss.share_at(loss.end) == loss.share_at(2.0) == 1.0
     assert dead_losses(azimuth(0.0, 0.0), [azimuth(-16.0, 0.0)]) == []
     assert dead_losses(azimuth(0.0, 0.0, 2.0, "nozzle"), [azimuth(-8.0, 0.0)]) == []
 
@@ -97,11 +97,11 @@ def test_a_skeg_takes_thrust_of_both_sides_alike(
     """The tables for port and starboard are mirror images; the least is 2 α/π − 1."""
     (port,), (starboard,) = (skeg_losses(t, hull) for t in thrusters.thrusters[:2])
     for angle in np.linspace(0.0, 2.0 * np.pi, 721):
-        assert port.at(-angle) == pytest.approx(starboard.at(angle))
+        assert port.share_at(-angle) == pytest.approx(starboard.share_at(angle))
     flush = math.pi / 2 + math.atan(3.276 / 4.69)
     worst = flush + math.atan(0.6 * 3.1 / math.hypot(3.276, 4.69))
     assert starboard.worst == pytest.approx(worst)
-    assert starboard.at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
+    assert starboard.share_at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
     assert skeg_losses(thrusters.thrusters[2], hull) == []
 
 
@@ -112,5 +112,5 @@ def test_a_skeg_right_beside_a_thruster_is_no_division_by_zero() -> None:
     )
     for y_m in (-1.0, 1.0):
         (loss,) = skeg_losses(azimuth(22.0, y_m, 4.0), beside)
-        shares = [loss.at(angle) for angle in np.linspace(-np.pi, np.pi, 361)]
+        shares = [loss.share_at(angle) for angle in np.linspace(-np.pi, np.pi, 361)]
         assert 0.0 <= min(shares) <= max(shares) == 1.0

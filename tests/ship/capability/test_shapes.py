@@ -53,7 +53,7 @@ def test_the_pieces_are_what_zones_and_losses_leave(
     shape = convex_pieces(None, zones, *losses, STEP)
     assert bool(zones) == (0 not in dead)
     for direction in np.linspace(0.001, TURN, 180):
-        shares = [min((loss.at(direction) for loss in kind), default=1.0) for kind in losses]
+        shares = [min((loss.share_at(direction) for loss in kind), default=1.0) for kind in losses]
         wanted = 0.0 if forbidden(direction, zones) else shares[0] * shares[1]
         assert reach(shape, direction) == pytest.approx(wanted, abs=1e-4)
 
@@ -65,7 +65,7 @@ def test_corners_lie_on_the_edge_and_chords_inside(
     starboard = thrusters.thrusters[1]
     losses = skeg_losses(starboard, hull)
     angle = np.linspace(losses[0].start, losses[0].end, 160)
-    true = np.array([losses[0].at(a) for a in angle])
+    true = np.array([losses[0].share_at(a) for a in angle])
     gaps = []
     for step in (16.0, 8.0, 4.0, 2.0):
         shape = convex_pieces(None, [], [], losses, math.radians(step))

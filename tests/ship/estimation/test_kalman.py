@@ -14,7 +14,7 @@ from dpbench.ship.estimation.kalman import (
     SENSOR_STD,
     KalmanFilter,
     KalmanTuning,
-    kalman_model,
+    build_kalman_model,
 )
 from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.vessel import Vessel
@@ -91,7 +91,7 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
     """Φ, Γ and Q equal the matrix exponential and the quadrature of its integrals."""
     tuning = replace(TUNING, bias_time_s=bias_time_s)
     Phi, Gamma, Q, C = sampled(SHIP, tuning, SAMPLE_S)
-    model = kalman_model(SHIP, tuning, SAMPLE_S)
+    model = build_kalman_model(SHIP, tuning, SAMPLE_S)
     size = np.sqrt(np.diag(Q))
     # Twelve Gauss points are exact to rounding here; Q is compared as a correlation.
     np.testing.assert_allclose(model.Phi, Phi, rtol=1e-12, atol=1e-15)
@@ -103,7 +103,7 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
 def test_the_gain_is_where_the_riccati_iteration_comes_to_rest() -> None:
     """Iterated from another start, the covariance ends at the same gain."""
     Phi, _, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
-    model = kalman_model(SHIP, TUNING, SAMPLE_S)
+    model = build_kalman_model(SHIP, TUNING, SAMPLE_S)
     R = np.diag(TUNING.measurement_std**2)
     P = 10 * Q
     for _ in range(4000):
@@ -125,7 +125,7 @@ def test_the_filter_forgets_its_start_for_every_vessel(name: str, wave_filter: b
     lengths = np.array([length, length, 1.0])
     waves = WaveModel.of_sea(8.5 / time, WAVES.std / lengths)
     tuning = KalmanTuning.of_ship(ship, waves, SENSOR_STD / lengths, wave_filter=wave_filter)
-    model = kalman_model(ship, tuning, SAMPLE_S / time)
+    model = build_kalman_model(ship, tuning, SAMPLE_S / time)
     forgets = (np.eye(len(model.K)) - model.K @ model.C) @ model.Phi
     radius = np.abs(np.linalg.eigvals(forgets)).max()
     assert radius < math.exp(-SAMPLE_S / 85.0)

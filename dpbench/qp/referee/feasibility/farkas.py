@@ -27,7 +27,7 @@ DENOMINATORS = (1, 12, 60, 1000)  # of fractions near a vector, tried in turn
 
 
 def crossed_limits_vector(qp: QuadraticProgram) -> Vector | None:
-    """Return the unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
+    """Return a Farkas vector (m + n,) of a row or bound with lower limit above upper, or None."""
     problem = JointQP.of(qp)
     crossing = np.flatnonzero(problem.L > problem.U)
     if not len(crossing):
@@ -36,7 +36,7 @@ def crossed_limits_vector(qp: QuadraticProgram) -> Vector | None:
 
 
 def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Return whether (y, y_box) proves that `qp` has no feasible point.
+    """Return whether the Farkas vector (y, y_box) proves that the QP has no feasible point.
 
     y_box must satisfy Aᵀy + y_box = 0 to within `CONSISTENT`; it is then replaced by the exact
     −Aᵀy, whose sign must name finite bounds. A multiple of the unit vector of a row with l > u
@@ -57,13 +57,13 @@ def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
     size = float(np.abs(qp.A).T.dot(np.abs(y)).max(initial=0.0)) + float(np.abs(y_box).max())
     if np.abs(box.floats() - y_box).max() > CONSISTENT * size:
         return False
-    rows = _upper_sum(Dyadic.of(y), qp.l, qp.u)
-    bounds = _upper_sum(box, qp.lb, qp.ub)
+    rows = _weighted_limit_sum(Dyadic.of(y), qp.l, qp.u)
+    bounds = _weighted_limit_sum(box, qp.lb, qp.ub)
     return rows is not None and bounds is not None and bool((rows + bounds).signs() < 0)
 
 
-def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
-    """Return Σ upper·y⁺ − Σ lower·y⁻, or None where a sign names an infinite limit."""
+def _weighted_limit_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
+    """Return Σ upper·y⁺ − Σ lower·y⁻ exactly; None where a sign names an infinite limit."""
     signs = y.signs()
     limits = np.where(signs > 0, upper, lower)
     used = signs != 0
@@ -73,7 +73,7 @@ def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
 
 
 def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """Find a valid Farkas vector (y, y_box), or None.
+    """Find a Farkas vector (y, y_box) that proves the QP infeasible, or return None.
 
     From a linear program over the signed parts of (y, y_box), normalised to sum 1, then verified
     exactly; with infinite bounds also as small fractions, since Aᵀy = 0 has to be exact there.
@@ -93,31 +93,31 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     both = np.zeros(len(problem.L))
     np.add.at(both, upper, answer.x[: len(upper)])
     np.subtract.at(both, lower, answer.x[len(upper) :])
-    return first_valid(qp, both)
+    return find_farkas_near(qp, both)
 
 
-def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
-    """Find a valid Farkas vector (y, y_box) near the one in `both` (m + n,), or None."""
-    for y in chain((both[: qp.m],), _fractions(both[: qp.m])):
+def find_farkas_near(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
+    """Find a valid Farkas vector (y, y_box) near a candidate (m + n,), or return None."""
+    for y in chain((both[: qp.m],), _round_to_fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):
             return y, y_box
     return None
 
 
-def _fractions(vector: Vector) -> Iterator[Vector]:
-    """Yield integer vectors near multiples of `vector`, lazily: they cost more than a proof."""
+def _round_to_fractions(vector: Vector) -> Iterator[Vector]:
+    """Yield integer vectors in nearly the proportions of `vector`, coarsest first."""
     size = float(np.abs(vector).max(initial=0.0))
     smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
     for unit in {size, smallest} - {0.0}:
         for limit in DENOMINATORS:
-            whole = in_integers(vector / unit, limit)
+            whole = to_integers(vector / unit, limit)
             if whole is not None:
                 yield whole
 
 
-def in_integers(vector: Vector, denominator: int) -> Vector | None:
-    """Return integers in the proportions of the nearest fractions of at most this denominator.
+def to_integers(vector: Vector, denominator: int) -> Vector | None:
+    """Round a vector to fractions and return integers in the same proportions.
 
     None where float64 cannot hold them.
     """
@@ -130,7 +130,7 @@ def in_integers(vector: Vector, denominator: int) -> Vector | None:
 
 
 def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
-    """Return whether d proves that the objective falls without end from a feasible point."""
+    """Return whether direction d proves that the QP is unbounded below."""
     d = np.asarray(d, dtype=np.float64)
     if d.shape != (qp.n,) or not np.isfinite(d).all():
         return False
@@ -145,7 +145,7 @@ def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
 
 
 def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
-    """Find a valid direction of unboundedness, or None."""
+    """Find a direction (n,) that proves the QP unbounded below, or return None."""
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))
@@ -153,5 +153,5 @@ def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
     answer = linprog(qp.q, A_eq=qp.P, b_eq=np.zeros(qp.n), bounds=(-1.0, 1.0), **rows)
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
-    candidates = chain((answer.x,), _fractions(answer.x))
+    candidates = chain((answer.x,), _round_to_fractions(answer.x))
     return next((d for d in candidates if unbounded_valid(qp, d)), None)

@@ -20,15 +20,15 @@ from scipy.optimize import linprog
 
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import in_integers
+from dpbench.qp.referee.feasibility.farkas import to_integers
 from dpbench.qp.referee.gap import select_independent
 from dpbench.qp.referee.joint import JointQP, Signs
 
 NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
 
 
-def fix_forced(problem: JointQP) -> JointQP | None:
-    """Fix forced variables and drop forcing rows; return None where there are none.
+def fix_forced_variables(problem: JointQP) -> JointQP | None:
+    """Fix variables that a row forces to their bounds, and drop that row; None without any.
 
     None too where two rows force a variable to different bounds, which other proofs refute.
     """
@@ -54,7 +54,7 @@ def fix_forced(problem: JointQP) -> JointQP | None:
 
 
 def _find_forcing_rows(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
-    """Return the rows whose smallest value over the bounds is exactly their upper limit."""
+    """Return the rows whose smallest value over the bounds equals their upper limit exactly."""
     positive, negative = np.maximum(A, 0.0), np.minimum(A, 0.0)
     low, high = (np.isfinite(bound) for bound in (lb, ub))
     lb, ub = np.where(low, lb, 0.0), np.where(high, ub, 0.0)
@@ -76,14 +76,14 @@ NEGLIGIBLE_WEIGHT = 1e-9  # Weights below it are rounding
 
 
 def drop_empty_rows(problem: JointQP) -> JointQP:
-    """Drop the limits of rows without coefficients that any z satisfies."""
+    """Remove the limits of rows without coefficients that every z satisfies."""
     idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
     L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def tighten_implied(problem: JointQP, touched: Signs) -> JointQP | None:
-    """Make limits that are never slack independent equality rows, or return None.
+def make_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
+    """Turn limits that every feasible point meets into equality rows; None without proof.
 
     Only limits in `touched`, which some feasible point meets, are candidates.
     """
@@ -95,7 +95,7 @@ def tighten_implied(problem: JointQP, touched: Signs) -> JointQP | None:
     limits = np.where(touched > 0, problem.U, problem.L)
     L, U = problem.L.copy(), problem.U.copy()
     if weights.any():
-        exact = in_integers(weights, DENOMINATOR)
+        exact = to_integers(weights, DENOMINATOR)
         if exact is None or (exact * touched < 0.0)[~equal].any():
             return None
         if not _is_balanced(problem, limits, exact):
@@ -106,7 +106,7 @@ def tighten_implied(problem: JointQP, touched: Signs) -> JointQP | None:
 
 
 def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
-    """Return v·s (N,) of as many rows as possible: multipliers of a direction inside them all."""
+    """Find weights (N,) that prove limits are never slack, by a linear program."""
     n, k = problem.C.shape[1], len(rows)
     G = side[:, np.newaxis] * problem.C[rows]
     E = problem.C[equal]
@@ -127,7 +127,7 @@ def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) 
 
 
 def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
-    """Return whether the weighted rows and the weighted limits add up to nothing, exactly."""
+    """Return whether the weighted rows and the weighted limits add up to zero, exactly."""
     used = np.flatnonzero(weights)
     exact = Dyadic.of(weights[used])
     if (Dyadic.of(problem.C[used].T) @ exact).signs().any():
@@ -136,7 +136,7 @@ def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
 
 
 def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
-    """Drop the equality rows that are exact combinations of others; None if one is not."""
+    """Drop equality rows that are exact combinations of others; None if one is not."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
     basis = select_independent(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)
@@ -145,7 +145,7 @@ def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
         shares = np.linalg.lstsq(problem.C[kept].T, problem.C[i], rcond=None)[0]
         weights = np.zeros(len(L))
         weights[kept], weights[i] = np.where(np.abs(shares) < NEGLIGIBLE_WEIGHT, 0.0, shares), -1.0
-        exact = in_integers(weights, DENOMINATOR)
+        exact = to_integers(weights, DENOMINATOR)
         if exact is None or not _is_balanced(problem, problem.U, exact):
             return None
         L[i], U[i] = -np.inf, np.inf

@@ -31,7 +31,7 @@ from scipy.optimize import linprog
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import first_valid
+from dpbench.qp.referee.feasibility.farkas import find_farkas_near
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
 
@@ -43,9 +43,10 @@ GAIN = 1e6  # How much finer the violation is resolved from one linear program t
 
 @dataclass(frozen=True, slots=True)
 class LeastViolation:
-    """Rigorous bounds of t*: `lower` by a Farkas vector, `upper` by a point; `rounding` is γ_{n+2}.
+    """Rigorous bounds of the least relative violation of a QP without a feasible point.
 
-    lower is 0 without a vector; upper inf where no point was found, or `lower` > `rounding`.
+    lower : by a Farkas vector, 0 without one; upper : by a point, inf where none was found or
+    `lower` > `rounding`; rounding : γ_{n+2}.
     """
 
     lower: float
@@ -54,12 +55,12 @@ class LeastViolation:
 
     @property
     def undecided(self) -> bool:
-        """Return whether the violation is no more than rounding."""
+        """Return whether the violation is within rounding, so that feasibility is undecided."""
         return self.upper <= self.rounding
 
 
-def least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
-    """Bound the least violation of a problem without a feasible point.
+def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
+    """Bound the least relative constraint violation of a QP without a feasible point.
 
     y (m + n,) is a valid Farkas vector (y, y_box), if one is known.
     """
@@ -70,11 +71,15 @@ def least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViola
     least = 0.0 if y is None else _violation_by_vector(problem, y, upper, lower)
     if least > rounding:
         return LeastViolation(least, np.inf, rounding)
-    return LeastViolation(least, _violation_by_point(problem, upper, lower, rounding), rounding)
+    best = float(np.inf)
+    for point in _refine_points(problem, upper, lower):
+        if (best := min(best, point.violation)) <= rounding:
+            break
+    return LeastViolation(least, best, rounding)
 
 
 def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
-    """Return s of the upper and of the lower limits, (N,) each; 0 where a limit is infinite."""
+    """Return the magnitudes (N,) that rounding of upper and lower limits is relative to."""
     C = np.abs(problem.C)
     n = C.shape[1]
     m = len(C) - n
@@ -94,7 +99,7 @@ def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
 
 
 def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
-    """Return Z (n,): how far the nearest limit lets each variable go, rounding left out."""
+    """Return how far the nearest limit lets each variable go (n,)."""
     reach = np.zeros(C.shape[1])
     for j, column in enumerate(C.T):
         mentions = column > 0.0
@@ -107,7 +112,7 @@ def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
 
 
 def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
-    """Return (−Σ U y⁺ + Σ L y⁻) / Σ s|y|, the least violation: the sum "< 0" must rise to 0."""
+    """Return a lower bound of the least violation from a Farkas vector y."""
     rows, weights = _weighted_rows(problem, y)
     positive = weights.signs() > 0
     limits = np.where(positive, problem.U[rows], problem.L[rows])
@@ -118,7 +123,7 @@ def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vect
 
 
 def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
-    """Return the rows of a Farkas vector and their weights, with the exact −Aᵀy on bounds."""
+    """Return the rows that a Farkas vector uses, and their exact weights."""
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)
     if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
@@ -132,8 +137,8 @@ def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
     return rows, Dyadic(whole[rows], low)
 
 
-def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """Find a valid Farkas vector (y, y_box) where a plain linear program misses the violation.
+def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
+    """Find a Farkas vector by linear programs on magnified residuals, or return None.
 
     The multipliers of the magnified linear programs, one after the other, are verified exactly.
     """
@@ -142,31 +147,22 @@ def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     for point in _refine_points(problem, upper, lower):
         if point.violation == 0.0:
             return None
-        farkas = first_valid(qp, point.y)
+        farkas = find_farkas_near(qp, point.y)
         if farkas is not None:
             return farkas
     return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Point:
-    """The violation of a point, exactly evaluated and rounded up, and multipliers y (N,) there."""
+class _PointViolation:
+    """Exact violation of a point, rounded up, and multipliers y (N,) there."""
 
     violation: float
     y: Vector
 
 
-def _violation_by_point(problem: JointQP, upper: Vector, lower: Vector, enough: float) -> float:
-    """Return the violation of the best point found, or of the first not above `enough`."""
-    best = float(np.inf)
-    for point in _refine_points(problem, upper, lower):
-        if (best := min(best, point.violation)) <= enough:
-            break
-    return best
-
-
-def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
-    """Yield points that violate less and less.
+def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_PointViolation]:
+    """Yield multipliers and violations of points that violate the limits less and less.
 
     Linear programs on the exact residuals of the point before, magnified (Gleixner, Steffy and
     Wolter, Iterative refinement for linear programming, INFORMS J. Computing 28, 2016).
@@ -190,12 +186,12 @@ def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_
         violation = _largest_violation(slack, size)
         y = np.zeros(len(problem.L))
         np.add.at(y, rows, turn * step[1])
-        yield _Point(violation, y)
+        yield _PointViolation(violation, y)
         magnified *= GAIN
 
 
 def _largest_violation(slack: Dyadic, size: Vector) -> float:
-    """Return max_i −slack_i / s_i, rounded up; inf where a limit of size zero is violated."""
+    """Return the largest violation relative to the limits' sizes, rounded up."""
     violation = np.maximum(-slack.floats(), 0.0) * OUTWARD
     bad = violation > 0.0
     if (size[bad] == 0.0).any():
@@ -204,7 +200,7 @@ def _largest_violation(slack: Dyadic, size: Vector) -> float:
 
 
 def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
-    """Return d with the least t in G d ≤ slack + t·s, of magnified slacks, and multipliers."""
+    """Solve a linear program on magnified slacks for the step of least violation."""
     near = slack < ENDLESS / GAIN
     A = np.column_stack((G, -size))[near]
     # Columns and rows in units of their largest numbers: the library's tolerance is absolute.
