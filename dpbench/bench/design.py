@@ -97,7 +97,7 @@ class DesignRecord:
 
 @dataclass(frozen=True)
 class MissingDesign:
-    """A controller and vessel without a design record, and the reason."""
+    """Controller and vessel whose closed-loop stability could not be analysed, and the reason."""
 
     vessel: str
     controller: str

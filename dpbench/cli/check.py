@@ -90,7 +90,7 @@ def _check_vessel(file: Path, progress: Progress | None) -> str:
 
 
 def _check_scenario(name: str | Path, progress: Progress | None) -> str:
-    """Validate a scenario and describe its ship, weather and controller."""
+    """Load a scenario, which validates it; return its ship, weather and controller as text."""
     from dpbench.cli.check_ship import scenario_text
     from dpbench.scenario.scenario import load_scenario
 

@@ -47,7 +47,7 @@ def _lower_resource_limit(kind: int, most: int) -> None:
 
 
 def _collect_numbers(structure: dict[str, Any]) -> dict[str, Any]:
-    """Return numeric fields of a nested structure as arrays, by dotted name."""
+    """Flatten a nested structure to arrays by dotted name; fields without numbers become empty."""
     import numpy as np
 
     numbers: dict[str, Any] = {}

@@ -151,7 +151,7 @@ class LimitRampDown:
         self._table: Matrix = table
 
     def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return low and high (N_c, r) at each move, relative to G f and in units of the rows."""
+        """Return each move's row limits (N_c, r) less G f, lowered ones closing in slowly."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
         self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u

@@ -88,7 +88,7 @@ class Run:
         )
 
     def _repr_html_(self) -> str:
-        """Return the run's main figures as an HTML table."""
+        """Return the run's main figures as an HTML table, which a notebook displays."""
         row = self.summary
         fields = {
             "steps": self._steps_text,
@@ -220,7 +220,7 @@ def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
 
 
 def _check_workspace(workspace: object, formulation: str) -> None:
-    """Raise InputError for an unknown formulation, or a workspace of another type."""
+    """Raise InputError for an unknown QP formulation, or if `workspace` is no solver workspace."""
     _check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(workspace, Workspace):
         raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")

@@ -53,7 +53,7 @@ _GROUPS = {"pass": "only otherwise"} | {
 
 
 def count_solvers(verdicts: Verdicts) -> str:
-    """State how many solvers pass, and which are late, fail or are inconclusive."""
+    """State how many solvers pass, and name those that are late, fail or are inconclusive."""
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}

@@ -74,7 +74,7 @@ def make_info_reader(
     number: Callable[[Any], int] | None = None,
     on_request: bool = False,
 ) -> InfoReader:
-    """Make a function that reads status, iterations and time from a library's info object.
+    """Make a reader of a solver library's info object: common status, iterations, time [ns].
 
     Parameters
     ----------

@@ -221,7 +221,7 @@ class SolverRecord:
 
     @property
     def default_route(self) -> Route:
-        """Route used when none is requested: the first one."""
+        """Default interface to the solver's library, native or qpsolvers: the first listed."""
         return next(iter(self.routes))
 
     @property

@@ -82,7 +82,7 @@ def cell_key(run: RunRecord) -> dict[str, Any]:
 
 
 def _runs_by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
-    """Return a folder's runs by their identifying columns, without slow-computer loops."""
+    """Map each run's identifying column values to the run, simulated slow computers left out."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
     return {tuple(cell_key(run).values()): run for run in lasting}

@@ -101,7 +101,7 @@ def _find_bounding_steps(
 
 
 def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
-    """Return a run's step whose time is nearest to `time_ns`, with that time."""
+    """Return a run's step whose solve time is nearest to `time_ns`, labelled with `time_ns`."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))

@@ -160,7 +160,7 @@ def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
 
 @dataclass(frozen=True)
 class _ReplayTimes:
-    """Percentiles and extremes of one replay's step times [ns]; NaN if unsupported."""
+    """Median, p95, p99 and maxima of one replay's step times [ns]; NaN if too few steps."""
 
     run: RunRecord
     p50_ns: float

@@ -119,7 +119,7 @@ class Dispatcher:
         self._ready.extend(self._batch_sources(keys))
 
     def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
-        """Yield batches that make sources, each long enough for the longest cell that uses it."""
+        """Yield batches that make the files of QPs, as long as the longest run that uses them."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = choose_batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):

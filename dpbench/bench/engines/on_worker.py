@@ -60,7 +60,7 @@ class MadeFile:
 
 @cache
 def worker_info() -> WorkerInfo:
-    """Return version, machine and rights of this worker process."""
+    """Return a cluster worker's dpbench version, machine and whether it may start processes."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 

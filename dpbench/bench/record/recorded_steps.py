@@ -114,7 +114,7 @@ class StepsOnDisk:
         return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
 
     def _check_schema(self, schema: pa.Schema) -> None:
-        """Raise ResultsError where the file lacks a key column or has one of another type."""
+        """Raise ResultsError if a key column is missing or any known column has a wrong type."""
         missing = sorted(KEY_COLUMNS - self._stored)
         if missing:
             raise missing_columns_error(self._path, missing)

@@ -186,7 +186,7 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
 
 
 def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
-    """Return a data frame of runs as an Arrow table, followed by its study keys."""
+    """Convert a data frame of runs to an Arrow table, its study columns last."""
     runs = as_runs(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
     schema = pa.schema([*RUNS_SCHEMA, *keys])

@@ -132,7 +132,7 @@ class _ActiveSet:
         return worst if worst is not None and values[worst] < 0 else None
 
     def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
-        """Return the smallest μ at which a multiplier reaches zero, and its position."""
+        """Return how far a new row's multiplier μ can rise until another is 0, and which."""
         n = len(self.qp.q)
         multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
         zeros = (

@@ -164,7 +164,7 @@ class Referee:
         return self._split_proof(proof)
 
     def _try_nearby(self, problem: JointQP) -> Proof | None:
-        """Try the linear certificate on an active set guessed from that of the last problem."""
+        """Prove the optimum with an active set guessed from the last QP's; None if unproven."""
         system = self._kkt_system(self._last) if self._convex else None
         if system is None or not system.proven:
             return None

@@ -202,7 +202,7 @@ def _verdict_expression() -> str:
 
 
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """Draw each solver's p50, p99, hardest step and largest timing to the deadline.
+    """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
 
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.

@@ -101,7 +101,7 @@ def value_if(test: Any, yes: object, no: object) -> Any:
 
 
 def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
-    """Return a row for each name, in this order; None: in the order of the data."""
+    """Return a chart's y axis with a row for each name, in this order; None: in data order."""
     return alt.Y(f"{field}:N", title=None, sort=names, axis=alt.Axis(**axis))
 
 

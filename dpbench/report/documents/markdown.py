@@ -157,7 +157,7 @@ def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
-    """Return a solver's worst steps in a Markdown table, others beside it."""
+    """Return a Markdown table of a solver's worst steps, with other solvers' figures at them."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]

@@ -47,7 +47,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Topic:
-    """Part of the page on one question: lines, figures, tables, a text to paste.
+    """Part of the report page on one question: text lines, charts, tables, a text to paste.
 
     `short` is its name in the line of links, by default its title. The topic that `leads` is the
     question of the suite: its first line is the answer of the page.

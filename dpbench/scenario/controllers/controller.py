@@ -126,7 +126,7 @@ class Controller(ABC):
         """Return the applied commands (K, n_u): the forces tau (K, 3) or thrust (K, n_f)."""
 
     def as_baseline_law(self) -> Controller:
-        """Return the controller in the form that the unconstrained baseline law uses."""
+        """Return this controller for the unconstrained law, without a thrust-allocation QP."""
         return self
 
 

@@ -49,7 +49,7 @@ def relinearised_model(psi0_rad: float) -> Linearisation:
 
 
 def turning_rows(turning: AzimuthTurning) -> Linearisation:
-    """Return the factory of QPs with rows that limit the turning rate of azimuths."""
+    """Return the maker of MPC QPs with constraints on how fast azimuth thrusters turn."""
     why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
     return Linearisation(partial(TurningQP, turning=turning), why)
 

@@ -136,7 +136,7 @@ def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
 
 
 def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
-    """Drop equality rows that are exact combinations of others; None if one is not."""
+    """Drop redundant equality rows; None if a dependent row is no exact combination of the rest."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
     basis = select_independent(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)

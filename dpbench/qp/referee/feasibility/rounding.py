@@ -200,7 +200,7 @@ def _largest_violation(slack: Dyadic, size: Vector) -> float:
 
 
 def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
-    """Solve a linear program on magnified slacks for the step of least violation."""
+    """Find the step to least constraint violation, and its multipliers, by a scaled-up LP."""
     near = slack < ENDLESS / GAIN
     A = np.column_stack((G, -size))[near]
     # Columns and rows in units of their largest numbers: the library's tolerance is absolute.

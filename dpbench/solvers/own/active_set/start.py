@@ -176,7 +176,7 @@ def try_multipliers(S: Matrix, L: int) -> int:
 
 @compiled
 def restore_dual_feasibility(S: Matrix, L: int) -> None:
-    """Move λ towards eq. 31 and drop rows that reach zero, until no sign is wrong."""
+    """Move multipliers to those of the active set, dropping rows until all signs are right."""
     while True:
         w = int(S[HEAD, COUNT]) & MASK
         if not solve_active(S, L, w):
@@ -421,7 +421,7 @@ def row_entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> fl
 
 @compiled
 def write_signed_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
-    """Write side_j a_k side_k of row j, by length, into row r of SHARES; 0 of equalities."""
+    """Store the coefficients by which active rows make inactive row j, signed by side."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         share = side * S[SIDE, i] * S[R, k] * S[UNIT, j] / S[UNIT, i]
