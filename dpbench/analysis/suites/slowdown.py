@@ -42,7 +42,7 @@ def delayed_groups(records: Records) -> list[DelayedGroup]:
 
 
 def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
-    """Group slow-computer loops by configuration, those that survive most first."""
+    """Group closed loops on slow computers by configuration; most slow-down survived first."""
     rising = sorted(runs, key=lambda run: run.slowdown)
     delayed = [
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
