@@ -70,7 +70,7 @@ class Finding:
 def finding_on_worst(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return one finding on several runs, the worst by a figure first; or none."""
+    """Return a list of one finding on several runs, the worst first; empty without a run."""
     if not runs:
         return []
     worst = max(runs, key=figure)

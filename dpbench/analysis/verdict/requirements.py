@@ -60,12 +60,12 @@ def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
 
 
 def cost_ratio(run: RunRecord) -> float:
-    """Return a closed loop's cost over the reference loop's; NaN if it did not end."""
+    """Return a closed loop's cost over that with exact solutions; NaN if it did not end."""
     if not run.steps_done >= run.steps_planned:
         return math.nan
     return run.closed_loop_cost / run.exact_cost
 
 
 def has_survived(run: RunRecord) -> bool:
-    """Return whether a closed loop ended at a cost within 10 % and without violation."""
+    """Return whether a closed loop ended within 10 % of the exact cost, without violations."""
     return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0
