@@ -61,7 +61,7 @@ _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
 
 
 def check_passive(page: str, where: str) -> None:
-    """Refuse a page in which a browser would run or load something.
+    """Raise ResultsError for an HTML page in which a browser would run or load something.
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
@@ -72,7 +72,7 @@ def check_passive(page: str, where: str) -> None:
 
 
 def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
-    """Yield position and text of what a browser would run or load in a page."""
+    """Yield position and text of what a browser would run or load in an HTML page."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"
     if _ENCODED.search(page, 0, _PREFIX) is None:
@@ -123,7 +123,7 @@ remarks = ""  # what a reader should know: power plan, other load, own build of 
 
 
 class Sender(BaseModel):
-    """Form in `sender.toml`: who ran the benchmark, when, how."""
+    """Form that goes with results sent to others: who ran the benchmark, when, how."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -134,7 +134,7 @@ class Sender(BaseModel):
 
 
 def prepare_sent_folder(folder: Path, target: Path) -> None:
-    """Copy the files to send into a folder of their own, with a form for the sender.
+    """Copy the result files to send into a folder of their own, with a form for the sender.
 
     An existing `sender.toml` is kept.
 
@@ -193,12 +193,12 @@ def _unknown_files(folder: Path) -> list[str]:
 
 
 def _files_to_send(folder: Path) -> list[str]:
-    """Return the names of the result files to send, page and form aside."""
+    """Return the names of the result files to send, without report page and sender's form."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
 def _check_runs(folder: Path, results: Results) -> None:
-    """Check that the runs sent are of one machine, and that none was lost."""
+    """Raise ResultsError unless the runs sent are of one machine and none was lost."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")
@@ -212,7 +212,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """Check that the page sent belongs to the files beside it and has no script."""
+    """Raise ResultsError unless the report page sent belongs to the files and has no script."""
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")
