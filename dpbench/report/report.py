@@ -38,7 +38,7 @@ BESIDE = ("slowdown", "random", "consequence")
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Results of a folder with the recommendation, topics, charts and tables on them."""
+    """Report on a result folder: results, recommended solver, topics, charts and tables."""
 
     results: Results
     data: PageData
@@ -53,7 +53,7 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """Build the report on the results of a folder; write no file.
+        """Build the report on the results of a folder in memory; write no file.
 
         baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
@@ -70,22 +70,22 @@ class Report:
 
     @cached_property
     def charts(self) -> Mapping[str, dict[str, Any]]:
-        """Charts that follow the reader's selection, by section of the page and name."""
+        """Charts that change with the reader's selection, by section of the page and name."""
         return draw_section_charts(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the report, by name."""
+        """All tables of the report as data frames, by name."""
         return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Figures that are written to files of their own, by name."""
+        """Charts that are written to files of their own, by name."""
         own = select_static_charts(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List the closing lines of a run on the terminal, as keyword and text."""
+        """List the summary that a run prints last on the terminal, as keyword and text."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         rows = [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts

@@ -19,7 +19,7 @@ from dpbench.report.report import Report
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
-    """Write the report of a result folder into it: page, Markdown, figures, tables.
+    """Write the report of a result folder into it: HTML page, Markdown, charts, tables.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def write_report_with_summary(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """Write the report of a result folder; return the page's path and a summary.
+    """Write the report of a result folder; return the page's path and summary lines.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _render_report_page(folder: Path, report: Report, *, light: bool = False) ->
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
-    """Write every stand-alone figure in each format; remove those of an earlier report."""
+    """Write each chart of the report to a file per format; remove an earlier report's."""
     files = {
         f"{name}.{kind}": partial(encode_figure, chart, kind)
         for name, chart in report.figures.items()

@@ -185,7 +185,7 @@ def _reference_times(records: Records, solver: str) -> Mapping[str, float] | Non
 def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
-    """Group the runs of one configuration on one problem by version, oldest first."""
+    """Group the runs of one configuration on one problem by solver version, oldest first."""
     builds = len({run.build for run in runs.values()})
 
     def version_of(run: RunRecord) -> str:

@@ -301,7 +301,7 @@ def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
 
 
 def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
-    """Return the median log time ratio B/A of both machine-speed test kernels; NaN if untimed."""
+    """Return the median log time ratio B/A of each of two machine-speed tests; NaN if untimed."""
     columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
     return _KernelRatios(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
 

@@ -26,7 +26,7 @@ from dpbench.solvers.calibration import CALIBRATION
 
 
 class Records:
-    """All runs of one result folder by topic, with access to their steps and times.
+    """All runs of one result folder, grouped by subject, with access to their steps and times.
 
     Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
     `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
@@ -119,7 +119,7 @@ class Records:
         return self.count_planned_steps(scenario) if carried is None else carried.steps
 
     def select_full_loops(self, scenario: str) -> list[RunRecord]:
-        """Return a scenario's full-length closed loops, default settings, scaled units."""
+        """Return a scenario's full-length closed loops with default settings and scaled QPs."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
@@ -135,7 +135,7 @@ class Records:
         return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
-        """Return the replays of a QP sequence in scaled units, filtered by column values."""
+        """Return the replays of a QP sequence in scaled units whose columns have given values."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
     def is_ranked(self, run: RunRecord) -> bool:
@@ -177,7 +177,7 @@ class Records:
         }
 
     def scenario(self, name: str) -> Scenario | None:
-        """Build the scenario of a name from recorded documents; None without them."""
+        """Build the named scenario from its recorded documents; None without them."""
         if name not in self._scenarios:
             carried = self._documents_by_scenario.get(name)
             self._scenarios[name] = None if carried is None else build_scenario(carried)

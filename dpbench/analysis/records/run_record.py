@@ -184,7 +184,7 @@ class RunRecord:
 
     @property
     def first_step(self) -> int:
-        """Index of the scenario step with which the run begins."""
+        """Index of the scenario's step at which the run begins."""
         if self.window_of and not np.isnan(self.first_sample):
             return int(self.first_sample)
         return self.first
@@ -234,7 +234,7 @@ class RunRecord:
 
     @property
     def cause(self) -> str:
-        """Message on the run's outcome from the solver library or harness; "" for none."""
+        """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")
 
     @property
@@ -301,7 +301,7 @@ def build_records(runs: pd.DataFrame) -> list[RunRecord]:
 
 
 def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """Parse a run's JSON description into record fields; keep equal parts once, in `shared`."""
+    """Parse a run's JSON description into record fields; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
     try:

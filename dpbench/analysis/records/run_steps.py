@@ -54,7 +54,7 @@ class CountingRows:
         return run_slices(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
-        """Return the step rows of one run; empty where it has none."""
+        """Return the step arrays of one run only; empty where it has none."""
         first, end = self.bounds.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
 

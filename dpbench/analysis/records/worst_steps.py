@@ -39,7 +39,7 @@ class WorstStep:
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """Return a solver's hardest step over all runs by error, time and iterations.
+    """Return a solver's steps of largest error, time and iterations over all its runs.
 
     It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
     """

@@ -81,7 +81,7 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
-    """Return the capability plots of a result folder, in the order of its suite.
+    """Return a folder's capability plots (wind held by direction), in suite order.
 
     table : of `load_capability`; None where the folder has none.
     """
@@ -111,7 +111,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Capab
 def _wind_by_direction(
     records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
 ) -> pd.DataFrame:
-    """Tabulate the largest wind held [m/s] by failure case and direction."""
+    """Tabulate the largest wind at which thrusters hold the ship, by failure and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))

@@ -29,7 +29,7 @@ SPAN = ("group", "from_s", "to_s", "state")
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """Counts of a configuration's right and wrong answers in a consequence analysis.
+    """Counts of a configuration's right and wrong answers on possible thruster losses.
 
     asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.

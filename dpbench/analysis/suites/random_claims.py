@@ -49,7 +49,7 @@ class Tally:
 
 
 class RandomClaims:
-    """True and false claims of solvers on all random QP sequences.
+    """True and false claims of optimality or infeasibility by solvers on all random QPs.
 
     `runs` are those that were not refused, each once: settings without effect, one run shown under
     several names, are one run with all of them in `settings`.

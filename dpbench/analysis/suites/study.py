@@ -168,18 +168,18 @@ class StudiedConfiguration:
 
     @property
     def differs(self) -> bool:
-        """True if its radial position error differs significantly from the reference's."""
+        """True if the configuration's radial error differs significantly from the reference's."""
         return self.p_differs <= ALPHA
 
     @property
     def has_larger_error(self) -> bool:
-        """True if its radial position error is significantly larger than the reference's."""
+        """True if the configuration's radial error is significantly over the reference's."""
         excess = self.error_excess_m
         return excess is not None and self.differs and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
-        """Solver tolerance that its settings state; None if the library's default or none."""
+        """Solver tolerance that a configuration's settings state; None if default or without."""
         return _find_tolerance(self.solver, self.settings)
 
     @property
@@ -273,7 +273,7 @@ class Study:
         ]
 
     def values(self, configuration: str, column: str) -> pd.Series:
-        """Return a result column of a configuration's finished runs, by point and sea."""
+        """Return one result of a configuration's finished runs, as a series by point and sea."""
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
@@ -319,7 +319,7 @@ class Study:
 
 
 def find_studies(records: Records) -> list[Study]:
-    """Return all studies of a result folder."""
+    """Return all studies of a result folder: solvers over many parameter points and seas."""
     radii = {
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
@@ -329,7 +329,7 @@ def find_studies(records: Records) -> list[Study]:
 
 
 def _find_tolerance(solver: str, settings: str) -> float | None:
-    """Return the tolerance of a solver's settings; None for a library's own or none."""
+    """Return the tolerance that a solver's settings state; None if default or without one."""
     if find_solver_record(solver) is None or not has_tolerance_levels(solver):
         return None
     return TOLERANCES.get(settings) or parse_tolerance(settings)

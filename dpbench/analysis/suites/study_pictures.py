@@ -23,7 +23,7 @@ def has_point_per_tile(study: Study) -> bool:
 
 
 def held_maps(study: Study) -> pd.DataFrame:
-    """Tabulate the share of seas with position held over two study parameters.
+    """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
     Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
     """
@@ -46,7 +46,7 @@ def held_maps(study: Study) -> pd.DataFrame:
 
 
 def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
-    """Return, for each value, the centre of its bin among equal bins."""
+    """Return for each value the centre of its bin, of equally wide bins over the range."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
     number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)

@@ -49,17 +49,17 @@ class SweepPoint:
 
     @property
     def median_ns(self) -> float:
-        """Median of the algorithmic step time; NaN where steps are missing."""
+        """Median step time [ns], each step's fastest repetition; NaN where steps are missing."""
         return float(np.median(self.times.algo_ns)) if self.times else math.nan
 
     @property
     def p99_ns(self) -> float:
-        """p99 of the algorithmic step time; NaN where the steps do not support one."""
+        """p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """p99 of the algorithmic step time with its 95 % interval."""
+        """p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
@@ -109,7 +109,7 @@ class SweptConfiguration:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The replays of one scenario under several horizons, the shortest first."""
+    """Replays of one scenario with several MPC horizons, the shortest horizons first."""
 
     name: str
     steps: int
@@ -149,7 +149,7 @@ class Sweep:
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
-    """Find the scenarios replayed under two or more pairs of horizons."""
+    """Find the scenarios replayed with two or more pairs of MPC horizons."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = group_by(replays, _swept_problem_key)
@@ -177,7 +177,7 @@ def _swept_problem_key(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
-    """Build a horizon sweep from the replays of one scenario."""
+    """Build a comparison over MPC horizons from the replays of one scenario."""
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:

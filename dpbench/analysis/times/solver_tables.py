@@ -90,7 +90,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the step times [ms] of the best configuration of each timed solver."""
+    """Tabulate the step times [ms] of each solver's best configuration."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -258,7 +258,7 @@ def level_points(
 def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
-    """Return a configuration's worst times and error over sequences; None if untimed."""
+    """Return one configuration's worst step times and error over QP sequences; or None."""
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None

@@ -105,7 +105,7 @@ class SolverChoice:
 
 
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
-    """Choose the deployable solver with the smallest p99 among those that pass.
+    """Choose, of the solvers that pass and can be deployed, the one of smallest p99 step time.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
@@ -121,7 +121,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
 
 
 def find_solver_record(solver: str) -> SolverRecord | None:
-    """Return the record of a solver; None for one that this installation does not have."""
+    """Return the description of a solver by its name; None if it is not known here."""
     try:
         return find_record(solver)
     except UnknownNameError:
@@ -129,7 +129,7 @@ def find_solver_record(solver: str) -> SolverRecord | None:
 
 
 def solver_family(solver: str) -> str:
-    """Return a solver's method family, as active set; "not stated" if unknown."""
+    """Return a solver's method family, as "active set"; "not stated" if unknown."""
     return str(getattr(find_solver_record(solver), "family", "not stated"))
 
 

@@ -86,7 +86,7 @@ class LateTimings:
 
     @property
     def share(self) -> float:
-        """Share of the timings that are late."""
+        """Share of a run's timings that are late."""
         return self.late / self.samples
 
     @property
@@ -122,7 +122,7 @@ MachineAt = Callable[[float], StallModel]
 def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
-    """Test every replay and closed loop for late timings; return those found by run id."""
+    """Test all replays and closed loops for solver calls that are late; return them by run id."""
     scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
     runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]

@@ -42,7 +42,7 @@ def late_timing_evidence(
 def find_slow_loops(
     runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
-    """Find closed loops whose median timing is near or beyond the p99 limit.
+    """Find closed loops whose median solve time is near or beyond the limit on the p99.
 
     The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
     limit by more than its uncertainty, and borderline within that.
@@ -147,7 +147,7 @@ def judge_times(
 
 
 def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
-    """Return the p99 of a replay's algorithmic step times [ns]; NaN for too few steps.
+    """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
     A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
     slower than its p99, and those are in the window.

@@ -83,7 +83,7 @@ class Verdict:
 
     @property
     def is_rankable(self) -> bool:
-        """True if the configuration was timed and nothing speaks against it."""
+        """True if the configuration was timed and no fault, doubt or missing run is known."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
@@ -217,7 +217,7 @@ def _count_or_zero(count: float) -> int:
 
 
 def _count_judged_steps(run: RunRecord) -> int:
-    """Return how many steps of a run have an answer that was judged."""
+    """Return how many steps of a run have an answer whose accuracy was judged."""
     without = _count_or_zero(run.uncertified) + _count_or_zero(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
 

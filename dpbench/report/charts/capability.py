@@ -27,7 +27,7 @@ _CLEAR_MPS = 1.8
 
 
 def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest wind held by direction, a line per failure case.
+    """Draw the largest wind a ship can hold by direction, a polar curve per failure case.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
@@ -74,7 +74,7 @@ Place = dict[str, Any]
 
 
 def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
-    """Draw the wind held by direction as points, hollow where claims are untrue."""
+    """Draw largest winds held by direction as points, hollow where solvers claim falsely."""
     tooltips = [
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),

@@ -252,7 +252,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
 
 
 def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
-    """Return a logarithmic time axis to ten times the deadline or the slowest time."""
+    """Return a logarithmic time axis up to ten times the deadline, or beyond the slowest."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
     high = max(10.0 * deadline_ms, 1.0)
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")

@@ -25,7 +25,7 @@ _NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])
 
 
 class _ChartKey:
-    """Cache key that compares and hashes a chart by identity."""
+    """Cache key by which two charts are equal only if they are the same object."""
 
     def __init__(self, chart: Any) -> None:
         self.chart = chart
@@ -44,7 +44,7 @@ def compile_vega(chart: Any) -> dict[str, Any]:
 
 
 def render_svg(chart: Any, *, titled: bool = True) -> str:
-    """Render a chart as SVG, with real text."""
+    """Render a chart as SVG, with text as text instead of outlines."""
     return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(compile_vega(chart)))
 
 
@@ -127,7 +127,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
 
 
 def save_figure(chart: Any, path: Path) -> Path:
-    """Write a chart to a file, in the format of its ending."""
+    """Write a chart to a file, in the format of the file name's ending."""
     write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 

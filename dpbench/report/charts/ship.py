@@ -132,7 +132,7 @@ def _points_per_run(laws: Sequence[Law]) -> int:
 def _draw_law_lines(
     table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
 ) -> Any:
-    """Draw one quantity over time, a line per control law."""
+    """Draw one quantity over time, as a line for each control law."""
     scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(table)
@@ -154,7 +154,7 @@ def _draw_limits(values: Sequence[float]) -> Any:
 
 
 def _stack_panels(panels: Sequence[Any]) -> Any:
-    """Stack panels vertically on a common time axis."""
+    """Stack chart panels vertically on a common time axis."""
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*panels, spacing=4, resolve=shared)
 

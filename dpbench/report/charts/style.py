@@ -60,7 +60,7 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 
 
 def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
-    """Return an axis with names beside the figure, or above each row where it is `narrow`.
+    """Return an axis with row names beside the chart, or above each row on a small screen.
 
     limit : of their length beside the figure [px].
     """

@@ -157,7 +157,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
 
 
 def _version_tables(histories: Histories) -> list[Table]:
-    """Tabulate times and errors by version, one table per solver that changed."""
+    """Tabulate times and errors by version, a table for each solver with several versions."""
     changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "

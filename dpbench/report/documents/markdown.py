@@ -65,7 +65,7 @@ def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """Return each configuration's verdict, times and errors as text cells."""
+    """Return rows of text cells with each configuration's verdict, times and errors."""
     return [
         (
             verdict.configuration.solver,
@@ -181,7 +181,7 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
 
 
 def _figure_text(measure: Measure, value: float) -> str:
-    """Format a time [ns], an error or a number of iterations by its measure."""
+    """Format a time [ns], an error or a number of iterations, whichever `measure` says."""
     if measure == "time":
         return time_text(value)
     return error_text(value) if measure == "error" else count_text(value)

@@ -96,7 +96,7 @@ def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_passive_attribute(attribute: str, value: str) -> bool:
-    """Return whether an HTML attribute of this value runs and loads nothing."""
+    """Return whether a browser runs and loads nothing for an HTML attribute of this value."""
     if attribute in _VALUES:
         return _VALUES[attribute].fullmatch(value) is not None
     if _ATTRIBUTES.fullmatch(attribute) is None:
@@ -159,7 +159,7 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
 
 
 def check_sent_folder(folder: Path) -> str:
-    """Check a result folder that others sent; return its description.
+    """Check a result folder that others sent, raise for faults; return a line on its contents.
 
     Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
     machine, or a page of other runs; InputError for the contents of `sender.toml`.
