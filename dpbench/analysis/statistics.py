@@ -68,7 +68,7 @@ class MeanEstimate:
 
     @property
     def is_supported(self) -> bool:
-        """True if the mean's standard error is positive and it has a degree of freedom."""
+        """True if the mean has a positive standard error and a degree of freedom."""
         return self.error > 0.0 and self.df >= 1.0
 
     @property
@@ -101,12 +101,12 @@ class MeanEstimate:
         return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
 
     def _transform_skew(self, statistic: float) -> float:
-        """Apply Hall's correction for a skewed sample to a t statistic."""
+        """Apply Hall's skewness correction to a t statistic."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
     def _invert_skew(self, quantile: float) -> float:
-        """Invert Hall's correction for a skewed sample at a quantile of Student's t."""
+        """Invert Hall's skewness correction at a quantile of Student's t."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:
             return quantile

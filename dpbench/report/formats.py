@@ -51,7 +51,7 @@ def rounded_up(value: float, digits: int = 3) -> str:
 
 
 def _round_significant(value: float, digits: int, way: str) -> str:
-    """Format a positive number in significant digits, rounded up or down as told."""
+    """Format a positive number in significant digits, rounded up or down."""
     if not (math.isfinite(value) and value > 0.0):
         return significant(value, digits)
     exact = Decimal(value)

@@ -53,7 +53,7 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """Build the report on the results of a folder in memory; write no file.
+        """Build the report on the results of a folder; write no file.
 
         baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
@@ -70,12 +70,12 @@ class Report:
 
     @cached_property
     def charts(self) -> Mapping[str, dict[str, Any]]:
-        """Charts that change with the reader's selection, by section of the page and name."""
+        """Charts that follow the reader's selection, by section of the page and name."""
         return draw_section_charts(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the report as data frames, by name."""
+        """All tables of the report, by name."""
         return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property

@@ -92,7 +92,7 @@ class Table:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """All rows of the table as a data frame of text."""
+        """All rows of the table as a DataFrame of text."""
         return pd.DataFrame(self.rows, columns=list(self.heads))
 
     @property

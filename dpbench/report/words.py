@@ -27,7 +27,7 @@ FILTERS = {
 
 @cache
 def _template_environment() -> Environment:
-    """Return the Jinja template environment, with the report's number formats as filters."""
+    """Return the Jinja environment with the number formats of the report as filters."""
     made = Environment(
         loader=PackageLoader("dpbench.report.documents", "templates"),
         undefined=StrictUndefined,
@@ -59,5 +59,5 @@ def render_document(template: str, **values: Any) -> str:
 
 @cache
 def read_words(module: str) -> dict[str, Any]:
-    """Read the texts of a Python module from the TOML file of the same name beside it."""
+    """Read a module's texts from the TOML file of the same name beside it."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

@@ -19,7 +19,7 @@ from dpbench.report.report import Report
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
-    """Write the report of a result folder into it: HTML page, Markdown, charts, tables.
+    """Write the report of a result folder into it: page, Markdown, figures, tables.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def write_report_with_summary(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """Write the report of a result folder; return the page's path and summary lines.
+    """Write the report of a result folder; return the page's path and a summary.
 
     Parameters
     ----------

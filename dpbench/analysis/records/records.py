@@ -209,5 +209,5 @@ def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _problem_columns(run: RunRecord) -> tuple[str, ...]:
-    """Return the columns that tell a run's problem: mode, scenario, sequence, units."""
+    """Return the values that identify a run's problem: mode, scenario, QP sequence, units."""
     return run.mode, run.scenario, run.sequence, run.units

@@ -144,7 +144,7 @@ class RunRecord:
     own_switches_a_step: float = np.nan
 
     def without_times(self) -> RunRecord:
-        """Return a copy of the run with all its measured times set to NaN."""
+        """Return a copy of the run with all times set to NaN."""
         times = (one.name for one in fields(self) if one.name.endswith("_ns"))
         timed: dict[str, Any] = dict.fromkeys(times, np.nan)
         return replace(self, **timed)

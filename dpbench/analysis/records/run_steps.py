@@ -129,7 +129,7 @@ class RunSteps:
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
     def at(self, places: Ints) -> RunSteps:
-        """Return these steps reduced to the ones at the given indices."""
+        """Return a copy of a run's steps with only those at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 

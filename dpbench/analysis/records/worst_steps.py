@@ -14,7 +14,7 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class WorstStep:
-    """A solver's step of largest error, time or iterations over all its runs, and the median.
+    """A solver's step of largest error, time or iterations over all runs, with its run's median.
 
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """

@@ -31,7 +31,7 @@ def round_spread(records: Records) -> tuple[float, float]:
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
-    """Return every timed replay, those of the harness's test solvers included, each once.
+    """Return every timed replay, those of the benchmark's test solvers included, each once.
 
     Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
     among those that the machine is judged by.
@@ -42,7 +42,7 @@ def timed_runs(records: Records) -> list[RunRecord]:
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
-    """Return every closed loop on a simulated slow computer that completed a step."""
+    """Return every closed loop on a simulated slow computer that did a step."""
     return _separate_own_switches([run for run in records.delayed if run.has_steps])
 
 
@@ -106,7 +106,7 @@ def largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Return the largest median timing [ns] of each of the harness's test solvers."""
+    """Return the largest median timing [ns] of each of the benchmark's test solvers."""
     return largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
 
 

@@ -103,7 +103,7 @@ class StallModel:
     shape: float
 
     def tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
-        """Return the probability of at least `count` stalls in `exposed_ns` of computing time."""
+        """Return P(`count` or more late): stalls in `exposed_ns`, 1 % of `allowed` timings."""
         mean = self.rate * exposed_ns
         if count <= 0:
             return 1.0
@@ -175,7 +175,7 @@ def _test_replays(
     requirements: Requirements,
     kind: Kind,
 ) -> list[LateTimings]:
-    """Test each replay for late timings, against the stalls that other solvers' replays show."""
+    """Test each replay for late timings against stalls in other solvers' replays."""
     tests: list[LateTimings] = []
     sources = choose_trusted_runs(replays, arms, delays, requirements)
     for _ in range(PASSES):
@@ -288,7 +288,7 @@ def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimi
 
 
 def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
-    """Return how many of a run's late timings the machine explains; NaN if unknown."""
+    """Return how many late timings of a run the machine explains; NaN if unknown."""
     if own.has_waits:
         return late - int(own.count_late(limit_ns).sum())
     if math.isnan(run.involuntary_switches):

@@ -81,7 +81,7 @@ class RunMatrix:
     def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """Arrange a folder's runs by configuration and experiment; judge each combination.
+        """Arrange a folder's runs by configuration and scenario or replay; judge each one.
 
         studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
@@ -174,7 +174,7 @@ class RunMatrix:
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
     def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
-        """Return the judged run of a configuration with the largest single timing, or None."""
+        """Return a configuration's judged run with the largest single timing, or None."""
         judged = self._judged_runs(configuration)
         timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)

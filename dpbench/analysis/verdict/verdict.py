@@ -36,7 +36,7 @@ from dpbench.solvers.record import POLICIES
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on one solver configuration: pass to fail, the reasons, step times and errors.
+    """Verdict on one solver configuration, from pass to fail: reasons, step times, errors.
 
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
@@ -103,7 +103,7 @@ class Verdicts:
 
     @property
     def references(self) -> list[Verdict]:
-        """Verdict on each solver's reference configuration, in the order of the suite."""
+        """Verdict on each solver's reference configuration, in suite order."""
         return [verdicts[0] for verdicts in self.of.values()]
 
     @property
@@ -223,7 +223,7 @@ def _count_judged_steps(run: RunRecord) -> int:
 
 
 def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs of a solver's reference configuration that another one lacks or cut short."""
+    """Find the reference configuration's runs that another configuration lacks or cut short."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []

@@ -132,7 +132,7 @@ def _points_per_run(laws: Sequence[Law]) -> int:
 def _draw_law_lines(
     table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
 ) -> Any:
-    """Draw one quantity over time, as a line for each control law."""
+    """Draw one quantity over time, a line per control law."""
     scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(table)
@@ -148,13 +148,13 @@ def _draw_law_lines(
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
-    """Draw dashed horizontal lines at given limits."""
+    """Draw dashed horizontal lines at limits."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _stack_panels(panels: Sequence[Any]) -> Any:
-    """Stack chart panels vertically on a common time axis."""
+    """Stack panels vertically on a common time axis."""
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*panels, spacing=4, resolve=shared)
 

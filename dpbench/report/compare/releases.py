@@ -63,7 +63,7 @@ class Releases:
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Compare the versions of each solver over several result folders, in text and tables.
+    """Compare the versions of each solver over several result folders.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ MOST_PANELS = 4
 
 
 def write_releases(path: Path, releases: Releases) -> Path:
-    """Write the HTML page that compares solver versions, without any script."""
+    """Write the page that compares solver versions, without any script."""
     table = release_table(releases.histories, MOST_PANELS)
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"

@@ -61,7 +61,7 @@ _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
 
 
 def check_passive(page: str, where: str) -> None:
-    """Raise ResultsError for an HTML page in which a browser would run or load something.
+    """Refuse a page in which a browser would run or load something.
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
@@ -72,7 +72,7 @@ def check_passive(page: str, where: str) -> None:
 
 
 def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
-    """Yield position and text of what a browser would run or load in an HTML page."""
+    """Yield position and text of what a browser would run or load in a page."""
     if control := _UNREADABLE.search(page):
         yield control.start(), f"the control character {ord(control[0]):#04x}"
     if _ENCODED.search(page, 0, _PREFIX) is None:
@@ -134,7 +134,7 @@ class Sender(BaseModel):
 
 
 def prepare_sent_folder(folder: Path, target: Path) -> None:
-    """Copy the result files to send into a folder of their own, with a form for the sender.
+    """Copy the files to send into a folder of their own, with a form for the sender.
 
     An existing `sender.toml` is kept.
 
@@ -198,7 +198,7 @@ def _files_to_send(folder: Path) -> list[str]:
 
 
 def _check_runs(folder: Path, results: Results) -> None:
-    """Raise ResultsError unless the runs sent are of one machine and none was lost."""
+    """Check that the runs sent are of one machine, and that none was lost."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")

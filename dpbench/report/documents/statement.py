@@ -119,7 +119,7 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
 
 
 def _render_svg(lines: Iterable[TextLine]) -> str:
-    """Render lines of text as one A4 page in SVG."""
+    """Render lines of text as one SVG page."""
     parts, y = [], float(MARGIN)
     for line in lines:
         y += line.size * 1.22 + line.gap

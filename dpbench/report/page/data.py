@@ -140,7 +140,7 @@ class PageData(RunMatrix):
 
     @property
     def thinned_count(self) -> int:
-        """Number of runs of which the report page shows only a part of the steps."""
+        """Number of runs of which the page shows only a part of the steps."""
         return sum(not run.is_whole for run in self.thinned_runs.values())
 
     def cells(self) -> Iterator[dict[str, Any]]:

@@ -53,13 +53,13 @@ class GlossaryEntry:
 
 
 def find_entry(term: str) -> GlossaryEntry:
-    """Return the glossary entry of a term: anchor on the page, term and meaning."""
+    """Return the glossary entry of a term, with its anchor on the page."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
     return GlossaryEntry(f"word-{slug}", term, term_meanings()[term])
 
 
 class Terms:
-    """Turns terms in the page's texts into links to its glossary, once per section.
+    """Converter of terms in the page's texts to links to its glossary, once per section.
 
     listed : terms of the list whether they are met or not, in its order.
     """

@@ -31,7 +31,7 @@ class Vendored:
 
 @cache
 def vendored_scripts() -> tuple[Vendored, ...]:
-    """Return the descriptions of all third-party scripts, in the order the page loads them."""
+    """Return the third-party scripts, in the order the page loads them."""
     return tuple(
         Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
     )
@@ -39,7 +39,7 @@ def vendored_scripts() -> tuple[Vendored, ...]:
 
 @cache
 def read_script(entry: Vendored) -> str:
-    """Return the text of a third-party script, made safe to put into an HTML element."""
+    """Return the text of a third-party script, safe inside an HTML element."""
     text = _VENDOR.joinpath(entry.file).read_text(encoding="utf-8")
     return text.replace("</script", "<\\/script")
 
@@ -50,7 +50,7 @@ def file_digest(entry: Vendored) -> str:
 
 
 def download_scripts() -> None:
-    """Download every third-party script with npm, and record its SHA-256."""
+    """Download every third-party script with npm, and write its hash."""
     vendor = Path(__file__).with_name("vendor")
     entries = []
     for entry in vendored_scripts():

@@ -156,7 +156,7 @@ def software_citation(results: Results) -> str:
 
 
 def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert charts to Vega specifications, by name."""
+    """Return charts as Vega specifications, by name."""
     made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
@@ -165,12 +165,12 @@ def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def figure_markup(chart: Any) -> Markup:
-    """Convert a chart to SVG in the colours of the page."""
+    """Return a chart as SVG in the colours of the page."""
     return Markup(use_page_colours(render_svg(chart, titled=False)))
 
 
 def vega_specification(chart: Any) -> dict[str, Any]:
-    """Convert a chart to a Vega specification in the colours of the page."""
+    """Return a chart as a Vega specification in the colours of the page."""
     made: dict[str, Any] = json.loads(use_page_colours(json.dumps(compile_vega(chart))))
     return made
 
