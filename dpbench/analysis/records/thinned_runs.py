@@ -124,7 +124,7 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
 def extreme_indices(values: Floats, most: int = MOST) -> Ints:
     """Return indices (M,) of at most `most` values to draw: least and largest of each section.
 
-    No more than `most`, of which a line of a few hundred pixels shows no difference.
+    A line of a few hundred pixels shows no difference.
     """
     if len(values) <= most:
         return np.arange(len(values))

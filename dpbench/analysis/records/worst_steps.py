@@ -39,7 +39,7 @@ class WorstStep:
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """Return a solver's steps of largest error, time and iterations over all its runs.
+    """Return, over all runs, a solver's step of largest error, of largest time, of most iterations.
 
     It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
     """

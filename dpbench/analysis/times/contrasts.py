@@ -110,7 +110,7 @@ def find_faster_inconclusive(
 ) -> list[Verdict]:
     """Find configurations of inconclusive verdict that are surely faster than the chosen one.
 
-    Only those surely faster than `chosen`, without anything against the requirements.
+    Those without anything against the requirements.
     """
     unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
@@ -162,7 +162,7 @@ class RouteGain:
 
 
 def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
-    """Compare the ways to call each solver, as natively or warm-started, by step time.
+    """Compare the ways to call each solver, native or not, by step time; fastest solver first.
 
     None where no native route has a neighbour.
     """

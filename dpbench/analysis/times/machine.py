@@ -22,7 +22,7 @@ neighbours too."""
 def round_spread(records: Records) -> tuple[float, float]:
     """Return median and 95 % quantile, over configurations, of slowest over fastest repetition.
 
-    Over the configurations; NaN without two rounds.
+    NaN without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
     return (

@@ -159,7 +159,7 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
 
 
 def check_sent_folder(folder: Path) -> str:
-    """Check a result folder that others sent, raise for faults; return a line on its contents.
+    """Check a result folder that others sent; return a line that describes its contents.
 
     Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
     machine, or a page of other runs; InputError for the contents of `sender.toml`.

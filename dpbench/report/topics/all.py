@@ -34,7 +34,7 @@ def build_topics(
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
 ) -> list[Topic]:
-    """Build the report page's parts, one for each question that a result folder answers.
+    """Build the report page's parts, one per question on the results, the suite's question first.
 
     designs, capability : of `load_designs` and `load_capability`.
     known : the studies of these records, if they are already read.
