@@ -189,7 +189,7 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
 
 
 def select_long_sequences(logs: Sequence[Floats]) -> list[Floats]:
-    """Return the step sequences long enough for an interval; all of them where none is."""
+    """Return the step series long enough for a confidence interval; all if none is."""
     return [one for one in logs if has_interval_support(len(one))] or list(logs)
 
 
@@ -199,7 +199,7 @@ def paired_ratio(slower: Floats, faster: Floats) -> Interval:
 
 
 def pooled_mean(logs: Sequence[Floats]) -> Interval:
-    """Return the geometric mean ratio over sequences of log ratios, with its 95 % interval.
+    """Return the geometric mean of time ratios over sequences, from logs, with 95 % interval.
 
     logs : by sequence, the log ratios of its steps; only long sequences count where there are any,
         and an empty one makes the mean unknown.

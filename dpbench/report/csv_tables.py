@@ -31,7 +31,7 @@ RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
-    """Build all tables of the report by name; some of them may be empty."""
+    """Build all tables of the report as data frames by name; some may be empty."""
     tables = {
         "runs": results.runs.drop(columns="cell"),
         "verdicts": _verdicts_table(data, recommendation),
@@ -71,7 +71,7 @@ def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
 
 
 def _microsecond_times(data: PageData) -> pd.DataFrame:
-    """Tabulate the step times and margins of solvers in microseconds."""
+    """Tabulate solvers' step times [µs] and how much slower a computer may be."""
     table = time_table(data).drop(columns="id")
     times = [name for name in table.columns if name.endswith("_ms")]
     table[times] = 1e3 * table[times]
@@ -79,7 +79,7 @@ def _microsecond_times(data: PageData) -> pd.DataFrame:
 
 
 def _verdicts_table(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
-    """Tabulate the verdict on each configuration with the reason for it."""
+    """Tabulate the verdict on each solver configuration with the reason for it."""
     table = verdict_table(data)
     if len(table):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all]

@@ -11,7 +11,7 @@ NO_ANSWER = "no answer"
 
 
 def time_text(nanoseconds: float) -> str:
-    """Format a duration in the unit that suits it, three significant digits."""
+    """Format a duration [ns] in ns, µs, ms or s, whichever suits, three significant digits."""
     if not math.isfinite(nanoseconds):
         return MISSING
     for factor, unit in ((1e3, "ns"), (1e6, "µs"), (1e9, "ms")):
@@ -21,7 +21,7 @@ def time_text(nanoseconds: float) -> str:
 
 
 def microseconds_text(nanoseconds: float) -> str:
-    """Format a duration in µs without the unit, three significant digits."""
+    """Format a duration [ns] as a number of µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
 
@@ -81,7 +81,7 @@ def share_text(share: float) -> str:
 
 
 def sample_share_text(share: float) -> str:
-    """Format a share of the sample in percent, two significant digits; it may exceed 100 %."""
+    """Format a share of a control sample in percent, two significant digits; may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
 
@@ -137,7 +137,7 @@ def strip_markdown(text: str) -> str:
 
 
 def toml_text(value: Any) -> str:
-    """Format a number, or an array row by row, as TOML in six digits."""
+    """Format a number, or the rows of an array, as TOML text with six significant digits."""
     if isinstance(value, Iterable):
         return f"[{', '.join(map(toml_text, value))}]"
     text = f"{float(value):.6g}"

@@ -10,7 +10,7 @@ _HEAD = "# Glossary\n\nEvery term that dpbench prints. Columns stand in the refe
 
 @cache
 def topics() -> dict[str, dict[str, str]]:
-    """Return the glossary by topic title: the meaning of each term."""
+    """Return the glossary as a dictionary: for each topic title, the meanings by term."""
     tables = tomllib.loads(_FILE.read_text(encoding="utf-8"))
     return {table.pop("title"): table for table in tables.values()}
 

@@ -20,13 +20,13 @@ from dpbench.report.formats import (
 
 
 def disturbance_text(disturbance: Disturbance) -> str:
-    """Describe how other load disturbed the machine: "quiet", or disturbed by what."""
+    """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
-    """Describe how well the harness measures waits of known length."""
+    """Describe how exactly the benchmark measured waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
@@ -54,7 +54,7 @@ def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 
 def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """List what disturbed replays, as label and text: switches, stolen time, throttling."""
+    """List what disturbed replays, as label and text: context switches, stolen time, throttling."""
     disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
@@ -67,7 +67,7 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 
 def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """List configurations that cause context switches themselves, as label and text."""
+    """List the solvers that cause context switches themselves, as label and text."""
     own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )

@@ -38,7 +38,7 @@ BESIDE = ("slowdown", "random", "consequence")
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Results of a folder with the recommendation, topics, charts and tables on them."""
+    """Report on a result folder: results, recommended solver, topics, charts and tables."""
 
     results: Results
     data: PageData
@@ -80,12 +80,12 @@ class Report:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Figures that are written to files of their own, by name."""
+        """Charts that are written to files of their own, by name."""
         own = select_static_charts(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List the closing lines of a run on the terminal, as keyword and text."""
+        """List the summary that a run prints last on the terminal, as keyword and text."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         rows = [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts

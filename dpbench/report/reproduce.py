@@ -32,7 +32,7 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Outcome of reproducing the paper: summary lines, faults, completeness.
+    """Outcome of reproducing the paper: summary lines, faults of runs, whether complete.
 
     lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
@@ -46,7 +46,7 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under an exact solver and the clipped law; write the results.
+    """Run the paper's case under exactly solved MPC and the clipped law; write figures, claims.
 
     Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
     loops are not run again.

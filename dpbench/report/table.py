@@ -82,12 +82,12 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
-        """Build a table from rows of cells by head."""
+        """Build a table from rows that map column heads to text cells."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
     @property
     def page_rows(self) -> list[list[str]]:
-        """Rows that the page shows, without Markdown marks."""
+        """Rows of the table that the page shows, without Markdown marks."""
         return [[strip_markdown(cell) for cell in row] for row in self.rows[: self.shown]]
 
     @property
@@ -97,7 +97,7 @@ class Table:
 
     @property
     def cut(self) -> int:
-        """Number of rows that the page leaves out."""
+        """Number of the table's rows that the page leaves out."""
         return len(self.rows[self.shown :]) if self.shown is not None else 0
 
 
@@ -122,5 +122,5 @@ def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table])
 
 
 def html_table(table: Table) -> str:
-    """Return the table as plain HTML, for a notebook."""
+    """Return the table as plain HTML, which a notebook displays."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)

@@ -32,7 +32,7 @@ NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def requirements_text(requirements: Requirements) -> str:
-    """State the controller's requirements on a solver in one sentence."""
+    """State the limits on a solver's error, failed steps and time in one sentence."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
@@ -73,7 +73,7 @@ def count_solvers(verdicts: Verdicts) -> str:
 
 
 def deployment_facts(solver: str) -> str:
-    """State licence, language and C code generation of a solver."""
+    """State a solver's licence, its language, and whether it generates C code."""
     known = find_solver_record(solver)
     if known is None:
         return "Its licence and language are not known here."
@@ -87,7 +87,7 @@ def deployment_facts(solver: str) -> str:
 def explain_no_recommendation(
     view: Records, verdicts: Verdicts, recommendation: SolverChoice
 ) -> str:
-    """Explain why no solver is recommended."""
+    """Explain why no solver is recommended: none deployable, none timed, or none passes."""
     if recommendation.faster is not None:
         return (
             "Nothing that can go aboard passes; "
@@ -125,7 +125,7 @@ def paired_text(compared: PairedComparison) -> str:
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
-    """Describe findings on a configuration in clauses joined by semicolons."""
+    """Describe the reasons for a verdict in clauses joined by semicolons."""
     return "; ".join(map(describe_finding, findings))
 
 
@@ -133,7 +133,7 @@ _WORDS: dict[str, str] = read_words(__file__)["findings"]
 
 
 def describe_finding(finding: Finding) -> str:
-    """Describe one finding on a configuration in a clause."""
+    """Describe one reason for a verdict, as a late or wrong step, in a clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
@@ -162,13 +162,13 @@ def describe_finding(finding: Finding) -> str:
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """Describe a solver's answer at one step: claimed or not, true or not."""
+    """Describe a solver's answer at one step: claimed solved or not, true or not."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
 def experiment_text(row: RunRecord) -> str:
-    """Name the scenario or replay of a run."""
+    """Name the scenario, replay or hardest steps that a run solved."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -177,7 +177,7 @@ def experiment_text(row: RunRecord) -> str:
 
 
 def _experiments_text(rows: Sequence[RunRecord]) -> str:
-    """Name the scenarios and replays of several runs in one phrase."""
+    """Name the scenarios, replays and hardest steps of several runs in one phrase."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]
@@ -190,6 +190,6 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
 
 
 def judged_runs_text(verdict: Verdict) -> str:
-    """Count the closed loops and replays on which a configuration was judged."""
+    """State on how many closed loops and replays a configuration was judged."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

@@ -95,7 +95,7 @@ def _render_report_page(folder: Path, report: Report, *, light: bool = False) ->
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
-    """Write every stand-alone figure in each format; remove those of an earlier report."""
+    """Write each chart of the report to a file per format; remove an earlier report's."""
     files = {
         f"{name}.{kind}": partial(encode_figure, chart, kind)
         for name, chart in report.figures.items()

@@ -35,7 +35,7 @@ BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
 
 @dataclass(frozen=True)
 class Measure:
-    """Accuracy or control figure of a run, and how large a change of it counts."""
+    """Accuracy or control quantity of a run, as RMS position, and the least change that counts."""
 
     column: str
     head: str
@@ -61,7 +61,7 @@ DONE = Measure("steps_done", "steps done", False, False, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class FigureChange:
-    """One figure of a pair of runs: its range over the rounds of A and of B, and its change."""
+    """Accuracy or control quantity of two paired runs A and B: ranges in both and its change."""
 
     pair: Pair
     measure: Measure
@@ -71,7 +71,7 @@ class FigureChange:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Table row: identity of the runs, figure, its range in A and in B, and its change."""
+        """Table row: run identity, name of the compared quantity, its ranges in A and B, change."""
         ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
         figure = {"figure": self.measure.column}
         return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
@@ -80,7 +80,7 @@ class FigureChange:
 def compare_figures(
     a: Records, b: Records, pairs: Sequence[Pair], margin: float
 ) -> list[FigureChange]:
-    """Compare the accuracy and control figures of each pair of runs."""
+    """Compare accuracy and control of each pair of runs A and B: worse, better or same."""
     answers = []
     for pair in pairs:
         for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
@@ -92,7 +92,7 @@ def compare_figures(
 def _compare_figures(
     a: Records, b: Records, pair: Pair
 ) -> Iterator[tuple[Measure, Range, Range, bool]]:
-    """Yield each figure of two paired runs, its range in A and B, and if it is comparable."""
+    """Yield each accuracy or control quantity of a pair of runs: both ranges, if comparable."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
@@ -121,12 +121,12 @@ def _compare_figures(
 
 
 def _point_range(value: float) -> Range:
-    """Return the range (low, high) of a single value."""
+    """Return a single number as the range (low, high) with both ends equal to it."""
     return float(value), float(value)
 
 
 def _classify_change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
-    """Classify a figure's change from run A to B: worse, better or the same."""
+    """Classify a quantity by its ranges in runs A and B: worse, better or the same in B."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
         return "same" if missing_a and missing_b else "worse" if missing_b else "better"
@@ -145,13 +145,13 @@ _STEPS = (
 
 
 def _first_time_limited_step(steps: pd.DataFrame) -> float:
-    """Return the first step that the solver's time limit cut short; inf for none."""
+    """Return a run's first step whose solve the solver's time limit cut short; inf for none."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
 
 
 def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
-    """Return the range over rounds of each accuracy figure, on steps before `common`."""
+    """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}

@@ -37,7 +37,7 @@ _MEDIAN_VARIANCE = np.pi / 2
 
 @dataclass(frozen=True)
 class Prior:
-    """Assumed noise between two runs: standard deviation of log ratios, degrees of freedom."""
+    """Assumed noise of log time ratios between two runs: standard deviation, degrees of freedom."""
 
     sd: float
     df: float
@@ -72,7 +72,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log step time ratios (N,): effect, machine factor, the effect's error and df."""
+    """Log step time ratios (N,) without the machine's factor; that factor, errors and df."""
 
     effect: Floats
     machine: Floats
@@ -88,7 +88,7 @@ def remove_machine_factor(
     kernel: Floats | None = None,
     own_share: float = 1.0,
 ) -> Evidence:
-    """Divide out each group's common machine factor; estimate the log ratios left and their errors.
+    """Subtract from log step time ratios what all of a group share; estimate their errors.
 
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
@@ -126,7 +126,7 @@ def remove_reference_factor(
     reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
-    """Divide each ratio by that of a reference solver in its group; estimate its error.
+    """Divide each step time ratio by a reference solver's in its group; estimate its error.
 
     reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
@@ -148,7 +148,7 @@ def remove_reference_factor(
 def _estimate_spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
-    """Estimate the variance of log ratios around their group's median, and its df.
+    """Estimate log time ratios' variance around their group's median, and degrees of freedom.
 
     Moderation never makes it smaller than it is found: too quiet a prior would make claims.
     `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
@@ -168,7 +168,7 @@ def _estimate_spread(
 
 
 def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """Judge each step time ratio slower, faster, equivalent or undecided.
+    """Test each step time ratio of two runs: slower, faster, equivalent or undecided.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two

@@ -16,14 +16,14 @@ LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two runs of one configuration on one problem, from result folders A and B."""
+    """Two runs of one solver configuration on one problem, from result folders A and B."""
 
     a: RunRecord
     b: RunRecord
 
     @property
     def label(self) -> str:
-        """Name of the configuration, with both solver versions where they differ."""
+        """Name of the paired runs' solver configuration, with both versions where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
         return self.a.configuration.label_of(f"{self.a.solver}{versions}")
@@ -41,7 +41,7 @@ class Pairs:
 
 
 def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """List the properties in which two machines differ; empty for one machine."""
+    """List the properties, as processor, in which two computers differ; empty for the same one."""
     if a["id"] == b["id"]:
         return []
     differ = [name for name in LASTING if a.get(name) != b.get(name)]
@@ -77,7 +77,7 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
 
 
 def cell_key(run: RunRecord) -> dict[str, Any]:
-    """Return the columns that identify a run: mode, problem, configuration, steps."""
+    """Return a run's identifying column values by name: mode, problem, configuration, steps."""
     return {column: getattr(run, column) for column in KEY}
 
 
@@ -95,5 +95,5 @@ def _describe_cell(run: RunRecord) -> str:
 
 
 def problem_key(run: RunRecord) -> tuple[object, ...]:
-    """Return a key of a run's problem: scenario documents, QP source and fallbacks."""
+    """Return what defines a run's problem, for comparison: scenario, origin of QPs, fallbacks."""
     return run.files, run.source, run.first, run.fallback, run.backup

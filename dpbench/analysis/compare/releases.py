@@ -35,31 +35,31 @@ class Release:
 
     @property
     def load_ns(self) -> float:
-        """Time of the load kernel beside the replays, geometric mean over the folders [ns]."""
+        """Geometric mean time [ns] of the speed test that senses load, over the version's runs."""
         return _geometric_mean([run.load_kernel_ns for run in self.runs.values()])
 
     @property
     def error_move(self) -> float:
-        """Largest error of the first move over all runs of the version."""
+        """Largest error of the first control move over all runs of a solver version."""
         return largest_known([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
-        """Largest number per round of steps that were claimed solved but are not."""
+        """Number of steps wrongly claimed solved, per repetition of a run; largest of all runs."""
         return largest_known(
             [_count_per_round(run, run.claimed_not_true) for run in self.runs.values()]
         )
 
     @property
     def failed_steps(self) -> float:
-        """Largest number of failed steps per round of a run."""
+        """Number of failed steps per repetition of a run; largest over a solver version's runs."""
         return largest_known(
             [_count_per_round(run, run.failed_steps) for run in self.runs.values()]
         )
 
     @property
     def outcome(self) -> str:
-        """Worst outcome of the version's runs, from finished to crashed."""
+        """Worst outcome, from finished to crashed, of all runs of a solver version."""
         outcomes = {run.outcome for run in self.runs.values()}
         return max(outcomes, key=lambda one: ORDER.index(one) if one in ORDER else len(ORDER))
 
@@ -72,7 +72,7 @@ class History:
 
     @property
     def run(self) -> RunRecord:
-        """One of the runs, for properties that all versions share."""
+        """One run of the oldest version, for what all versions share: solver, problem, settings."""
         return next(iter(self.releases[0].runs.values()))
 
     @property
@@ -85,7 +85,7 @@ class History:
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
     def load_change(self, i: int) -> float:
-        """Return the load kernel's time beside version i over that beside the one before."""
+        """Return the load-sensing speed test's time with version i over that with the previous."""
         return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
@@ -96,7 +96,7 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """Version histories of all solvers in several result folders, and their time unit.
+    """Version histories of all solvers in several result folders, and the unit of their times.
 
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
     spread : the largest ratio between the folders of two p50 of one version of one configuration:
@@ -112,7 +112,7 @@ class Histories:
 
 
 def compare_releases(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """Compare solver versions on each configuration and problem of several folders.
+    """Compare solver versions' step times and errors, per problem, over several result folders.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
 
 
 def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
-    """Group runs by problem and configuration, without lost, refused and slowed-down ones."""
+    """Group all folders' runs by problem and configuration, without lost, refused, slowed ones."""
     cells: dict[str, dict[str, RunRecord]] = {}
     for name, records in folders.items():
         for run in records.all_runs:
@@ -152,7 +152,7 @@ def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunReco
 
 
 def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
-    """Return the solver whose p50 the times of each folder are divided by."""
+    """Choose the solver by whose median step time each folder's times are divided."""
     timed = [{run.solver for run in _timed_replays(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
@@ -185,7 +185,7 @@ def _reference_times(records: Records, solver: str) -> Mapping[str, float] | Non
 def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
-    """Group the runs of one configuration on one problem by version, oldest first."""
+    """Group the runs of one configuration on one problem by solver version, oldest first."""
     builds = len({run.build for run in runs.values()})
 
     def version_of(run: RunRecord) -> str:
@@ -202,7 +202,7 @@ def _build_history(
 
 
 def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
-    """Return a replay's time over the reference solver's, or in ns; NaN for a loop."""
+    """Return a replay's step time [ns] or its ratio to the reference's; NaN for closed loops."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
@@ -212,7 +212,7 @@ def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None
 def _ratios_between_folders(
     history: History, units: Mapping[str, Mapping[str, float] | None]
 ) -> Iterator[float]:
-    """Yield, for each version, its largest p50 among the folders over the smallest."""
+    """Yield each solver version's largest p50 step time over its smallest, among the folders."""
     for release in history.releases:
         times = [
             _relative_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
@@ -222,12 +222,12 @@ def _ratios_between_folders(
 
 
 def _count_per_round(run: RunRecord, count: float) -> float:
-    """Convert a count over all rounds of a run to a count per round."""
+    """Divide a count over all repetitions of a run by the number of repetitions."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
 def _version_key(version: str) -> tuple[Any, ...]:
-    """Return a sort key of a version: by number, versions without one first."""
+    """Return a sort key of a solver version: by number, texts without a number first."""
     try:
         return True, Version(version.partition(" ")[0]), version
     except InvalidVersion:

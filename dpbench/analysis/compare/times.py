@@ -53,7 +53,7 @@ sets without a library below them, so that a build matters least."""
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """Log step time ratio B/A of one configuration on one sequence, with its error.
+    """Log step time ratio of runs B and A for a configuration on one QP sequence, with error.
 
     own : standard error from inside the runs.
     median_ns : the median step in A and in B [ns].
@@ -85,7 +85,7 @@ class ComparedTimes:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Table row: identity, ratios, interval, adjusted p-values and verdict."""
+        """Table row: run identity, step time ratio with interval, adjusted p-values and verdict."""
         timing, found = self.timing, self.assessment
         ratio = {"ratio": found.ratio.value, "low": found.ratio.low, "high": found.ratio.high}
         p_values = {"p_differs": found.p_differs, "p_equal": found.p_equal}
@@ -98,7 +98,7 @@ class ComparedTimes:
 
 @dataclass(frozen=True)
 class SharedFactor:
-    """Step time factor B/A that all configurations on one sequence have in common.
+    """Step time ratio of runs B and A that all configurations on one QP sequence share.
 
     factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
         and the load kernel, NaN where a folder does not have it.
@@ -116,7 +116,7 @@ class SharedFactor:
 
 
 def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
-    """Compute the step time ratio of each pair of replays that was timed."""
+    """Return the log step time ratio B/A, with its error, of each timed pair of replays."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
@@ -125,13 +125,13 @@ def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[T
 
 
 def _measurement_key(timing: Timing) -> tuple[object, ...]:
-    """Return a key that equals for two timings of one run under two settings names."""
+    """Return a key that is equal for one measured run listed under two names of settings."""
     unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
 def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Return why the reference kernel does not show the machine's speed, by sequence.
+    """Return, by QP sequence, why its speed test cannot tell how fast the machine was; or "".
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
     quiet while they timed the sequence.
@@ -172,7 +172,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
 
 
 def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
-    """Return the index (N,) of the reference solver's timing on the same sequence, or −1.
+    """Return for each timing the index of the reference solver's on its QP sequence, or −1.
 
     Of several the most usual, see `usual_first_key`.
     """
@@ -192,7 +192,7 @@ def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[ComparedTimes]:
-    """Judge each step time ratio after division by that of a reference solver.
+    """Judge each solver's step time ratio B/A after division by a reference solver's ratio.
 
     rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """
@@ -208,14 +208,14 @@ def compare_to_reference(
 
 
 def _flagged_runs_text(of: Sequence[bool]) -> str:
-    """Return "run A was", "run B was" or "both runs were", as two flags tell."""
+    """Name the flagged runs of a pair: "run A was", "run B was" or "both runs were"."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[ComparedTimes], list[SharedFactor]]:
-    """Judge each configuration's step time ratio, and the factor each sequence shares.
+    """Judge step time ratios B/A: each configuration's own, and what a QP sequence's all share.
 
     unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
         configurations share, nor of those that only the reference kernel is compared with.
@@ -258,30 +258,30 @@ def compare_times(
 
 @dataclass(frozen=True)
 class _KernelRatios:
-    """Log time ratios B/A of the reference kernel and of the load kernel."""
+    """Log time ratios B/A of two machine-speed tests: a fixed computation, and one sensing load."""
 
     kernel: float
     load: float
 
     @property
     def load_excess(self) -> float:
-        """Log ratio of the load kernel less that of the reference kernel; 0 if unknown."""
+        """Log time ratio of the load-sensing speed test less the fixed one's; 0 if unknown."""
         return self.load - self.kernel if np.isfinite(self.load) else 0.0
 
     @property
     def expected(self) -> float:
-        """Log step time ratio that the ratios of both kernels predict."""
+        """Log ratio B/A of solver step times that both machine-speed tests predict."""
         return self.kernel + LOAD_WEIGHT * self.load_excess
 
     def prediction_error(self, configurations: Floats) -> float:
-        """Return the error of the predicted log ratio against the configurations' median."""
+        """Return the standard error of the predicted less the median log step time ratio."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
         load2 = (LOAD_WEIGHT_ERROR * self.load_excess) ** 2
         return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
 def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
-    """Return (N,) log(B/A) of each load kernel less the median over its sequence.
+    """Return each run pair's log time ratio of the load test less its QP sequence's median.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
@@ -294,20 +294,20 @@ def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -
 
 
 def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
-    """Return (N,) log(B/A) of a column of times of the paired runs."""
+    """Return log(B/A) (N,) of one recorded time, named by its column, of each pair of runs."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
 def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
-    """Return the median log time ratio B/A of both machine-speed test kernels; NaN if untimed."""
+    """Return the median log time ratio B/A of each of two machine-speed tests; NaN if untimed."""
     columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
     return _KernelRatios(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
-    """Return the step times (rounds, steps) [ns] of a run's rounds that count."""
+    """Return a run's step times (repetitions, steps) [ns], undisturbed ones; None if unranked."""
     counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
         return None
@@ -319,7 +319,7 @@ def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
 
 
 def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
-    """Compute a step time ratio from recorded medians, whose error is unknown."""
+    """Compute a pair's log step time ratio B/A from recorded medians; its error is unknown."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
         return None
@@ -330,7 +330,7 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
 
 
 def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
-    """Compute a step time ratio from the fastest round of each step that both runs did."""
+    """Compute two runs' log step time ratio from the fastest repetition of their common steps."""
     a, b = _round_times(records_a, pair.a), _round_times(records_b, pair.b)
     if a is None or b is None:
         return None
@@ -356,7 +356,7 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
 
 
 def _jackknife_variance(times: Floats) -> float:
-    """Return the jackknife variance of a mean log fastest time over rounds.
+    """Return the jackknife variance, over repetitions, of the mean log fastest step time.
 
     A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the
     minimum over the others unchanged, and one reached in a single part is not reliable. A single

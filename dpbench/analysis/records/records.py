@@ -26,7 +26,7 @@ from dpbench.solvers.calibration import CALIBRATION
 
 
 class Records:
-    """All runs of one result folder by topic, with access to their steps and times.
+    """All runs of one result folder, grouped by subject, with access to their steps and times.
 
     Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
     `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
@@ -67,23 +67,23 @@ class Records:
         return self._steps.rows > 0
 
     def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the step rows of a run with the given columns; empty without steps."""
+        """Return the table of a run's steps with the given columns; empty without steps."""
         return self._steps.read_run(run.run_id, columns)
 
     def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return a run's step rows that count: no warm-up, no disturbed round."""
+        """Return a run's step table without warm-up and disturbed repetitions."""
         steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
 
     def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """Yield the step rows of given runs as tables of some hundred thousand rows."""
+        """Yield the step rows of given runs from file, in tables of some hundred thousand rows."""
         wanted = {run.run_id for run in runs if run.has_steps}
         return self._steps.scan(columns, wanted) if wanted else iter(())
 
     def run_steps(
         self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
-        """Yield the id, steps merged over rounds, and step rows of each given run."""
+        """Yield per run its id, its steps merged over repetitions, and the unmerged step rows."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
             rows, places = table[list(columns)], run_slices(table["run_id"])
@@ -92,7 +92,7 @@ class Records:
                 yield run_id, steps, rows.iloc[first:end]
 
     def select(self, **wanted: object) -> list[RunRecord]:
-        """Return the runs whose columns equal the given values, or one of a tuple of values."""
+        """Return the runs of this folder whose columns equal given values, or one of a tuple."""
         allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
             run for run in self.runs if all(getattr(run, name) in v for name, v in allowed.items())
@@ -100,12 +100,12 @@ class Records:
 
     @cached_property
     def solvers(self) -> list[str]:
-        """Names of the ranked solvers in the order of the suite, without the baseline law."""
+        """Names of the solvers in the order of the suite, without the law that solves no QP."""
         return list(dict.fromkeys(r.solver for r in self.all_runs if not r.is_baseline_law))
 
     @cached_property
     def scenarios(self) -> list[str]:
-        """Names of the scenarios in the order of the suite."""
+        """Names of all scenarios in this folder's runs, in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
     def count_planned_steps(self, scenario: str) -> int:
@@ -119,7 +119,7 @@ class Records:
         return self.count_planned_steps(scenario) if carried is None else carried.steps
 
     def select_full_loops(self, scenario: str) -> list[RunRecord]:
-        """Return a scenario's full-length closed loops, default settings, scaled units."""
+        """Return a scenario's full-length closed loops with default settings and scaled QPs."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
@@ -135,7 +135,7 @@ class Records:
         return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
-        """Return the replays of a QP sequence in scaled units, filtered by column values."""
+        """Return the replays of a QP sequence in scaled units whose columns have given values."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
     def is_ranked(self, run: RunRecord) -> bool:
@@ -144,7 +144,7 @@ class Records:
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Return the step times of a replay; None without a step that counts or if unranked."""
+        """Return a replay's step times; None without a valid step or if not comparable."""
         if not self.is_ranked(run):
             return None
         if not self._times:
@@ -155,13 +155,13 @@ class Records:
         return self._times[run.run_id]
 
     def _cache_times(self, runs: Sequence[RunRecord]) -> None:
-        """Read the step times of given replays from file into the cache."""
+        """Read the step times of given replays from file, and keep them in memory."""
         self._times |= dict.fromkeys(run.run_id for run in runs)
         for table in self.scan(runs, TIME_COLUMNS):
             self._times |= dict(times_by_run(table))
 
     def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
-        """Return the delayed timings of given runs, by run id."""
+        """Return unusually long step timings of given runs, by run id."""
         unread = [run for run in runs if run.run_id not in self._delays]
         for table in self.scan(unread, DELAY_COLUMNS):
             self._delays |= dict(delays_by_run(table))
@@ -169,7 +169,7 @@ class Records:
 
     @cached_property
     def _documents_by_scenario(self) -> dict[str, ScenarioDocuments]:
-        """The first recorded scenario and vessel documents of each scenario."""
+        """Recorded definition (scenario and vessel documents) of each scenario, by its name."""
         return {
             run.scenario: files
             for run in reversed(self.runs)
@@ -177,7 +177,7 @@ class Records:
         }
 
     def scenario(self, name: str) -> Scenario | None:
-        """Build the scenario of a name from recorded documents; None without them."""
+        """Build the named scenario from its recorded documents; None without them."""
         if name not in self._scenarios:
             carried = self._documents_by_scenario.get(name)
             self._scenarios[name] = None if carried is None else build_scenario(carried)
@@ -185,7 +185,7 @@ class Records:
 
 
 def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Return the route on which each solver is judged: qpsolvers, else its first one."""
+    """Return the interface by which each solver is judged: qpsolvers, else the first recorded."""
     routes: dict[str, str] = {}
     for run in runs:
         if run.solver not in routes or run.route == "qpsolvers":
@@ -194,7 +194,7 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
 
 
 def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Select the runs in the common QP formulation, and those of the baseline law.
+    """Select the runs in the common QP formulation, and those of the law that solves no QP.
 
     Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """
@@ -209,5 +209,5 @@ def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _problem_columns(run: RunRecord) -> tuple[str, ...]:
-    """Return the columns that tell a run's problem: mode, scenario, sequence, units."""
+    """Return the values that identify a run's problem: mode, scenario, QP sequence, units."""
     return run.mode, run.scenario, run.sequence, run.units

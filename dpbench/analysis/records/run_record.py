@@ -151,52 +151,52 @@ class RunRecord:
 
     @property
     def configuration(self) -> Configuration:
-        """Solver, route, policy, settings, units and formulation of the run."""
+        """Solver configuration of the run: interface, warm start, settings, units, formulation."""
         return Configuration(
             self.solver, self.route, self.policy, self.settings, self.units, self.formulation
         )
 
     @property
     def has_topic(self) -> bool:
-        """True if the run enters no verdict: a study, or a problem without a ship."""
+        """True if the run counts in no solver's verdict: a study, or a problem without a ship."""
         return bool(self.study) or not self.source.is_judged
 
     @property
     def family(self) -> str:
-        """Family of a random QP sequence; "" of every other run."""
+        """Name of the family of random QPs that the run solves; "" for any other run."""
         return self.source.recipe.family if isinstance(self.source, RandomSource) else ""
 
     @property
     def lost_group(self) -> str:
-        """Failure group whose loss a consequence analysis is about; "" of other runs."""
+        """Name of the thruster group whose loss the run's QPs assume; "" for any other run."""
         return self.source.group if isinstance(self.source, ConsequenceSource) else ""
 
     @property
     def is_at_boundary(self) -> bool:
-        """True if the QPs are those at the edge of a vessel's capability plot."""
+        """True if the run solves the QPs at the limits of a vessel's capability plot."""
         return isinstance(self.source, CapabilitySource)
 
     @property
     def export_argument(self) -> str:
-        """Argument by which `dpbench export` finds the run's QPs: file or name."""
+        """Argument with which `dpbench export` finds the run's QPs: file, scenario or sequence."""
         path = self.source.path if isinstance(self.source, RecordedSource) else ""
         return path or self.scenario or self.sequence
 
     @property
     def first_step(self) -> int:
-        """Index of the scenario step with which the run begins."""
+        """Index of the scenario's step at which the run begins."""
         if self.window_of and not np.isnan(self.first_sample):
             return int(self.first_sample)
         return self.first
 
     @property
     def window_of(self) -> int:
-        """Length of the stretch whose hardest steps are replayed; 0 of other runs."""
+        """Number of steps of which the hardest are replayed by this run; 0 of other runs."""
         return self.source.of if isinstance(self.source, HardestSource) else 0
 
     @property
     def problem(self) -> str:
-        """Sequence name of a replay, scenario name of a closed loop."""
+        """Name of the problem that the run solves: QP sequence of a replay, else its scenario."""
         return self.sequence or self.scenario
 
     @property
@@ -234,7 +234,7 @@ class RunRecord:
 
     @property
     def cause(self) -> str:
-        """Message on the run's outcome from the solver library or harness; "" for none."""
+        """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")
 
     @property
@@ -246,7 +246,7 @@ class RunRecord:
 
     @property
     def name(self) -> str:
-        """Solver name with all that differs from the default configuration."""
+        """Name of the run's solver, with what differs from its default configuration."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
         words += [] if self.settings == "default" else [self.settings]
@@ -257,7 +257,7 @@ class RunRecord:
 
 
 class _Table(BaseModel, strict=True, extra="allow"):
-    """Base of the JSON tables that are read here, other keys allowed."""
+    """Base class of validated JSON tables that may have unknown keys."""
 
 
 class _Scenario(_Table):
@@ -267,19 +267,19 @@ class _Scenario(_Table):
 
 
 class _Files(_Table):
-    """Scenario documents in the JSON description of a run."""
+    """Scenario part of a run's JSON description."""
 
     scenario: _Scenario | None = None
 
 
 class _Study(_Table):
-    """Study entry in the JSON description of a run: the values of the varied keys."""
+    """Study part of a run's JSON description: the parameter values varied in this run."""
 
     x: dict[str, Any] = {}
 
 
 class _RunDescription(_Table):
-    """Parts of a run's JSON description (column `cell`) that are read."""
+    """Parts that are read of a run's JSON description: scenario, origin of QPs, fallbacks."""
 
     scenario: _Files | None = None
     source: dict[str, Any] = {}
@@ -290,7 +290,7 @@ class _RunDescription(_Table):
 
 
 def build_records(runs: pd.DataFrame) -> list[RunRecord]:
-    """Convert a table of runs to typed records, one per row."""
+    """Convert a data frame of runs to a list of `RunRecord`, one per row."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
@@ -301,7 +301,7 @@ def build_records(runs: pd.DataFrame) -> list[RunRecord]:
 
 
 def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """Parse a run's JSON description into record fields; keep equal parts once, in `shared`."""
+    """Parse a run's JSON description into record fields; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
     try:
@@ -326,7 +326,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
 
 
 def _description_error(key: str, error: ValueError) -> ResultsError:
-    """Return the ResultsError for an invalid JSON description of a run."""
+    """Convert an error in reading a run's JSON description to a ResultsError."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None
@@ -362,7 +362,7 @@ def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, lis
 
 
 def first_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
-    """Return, by key, the first item that has it."""
+    """Map each key to the first of the items that have it."""
     first: dict[Key, Item] = {}
     for item in items:
         first.setdefault(key(item), item)

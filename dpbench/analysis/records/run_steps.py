@@ -21,7 +21,7 @@ from dpbench.bench.record.recorded_steps import run_slices
 
 @dataclass(frozen=True, eq=False)
 class CountingRows:
-    """Arrays (N,) over the step rows that count, ordered by run; NaN where missing.
+    """Arrays (N,) of all valid step rows of several runs, ordered by run; NaN where missing.
 
     run_id, repeat, k : run, round and step.
     total_ns, iterations, error_move, n_active : as in the step table.
@@ -50,11 +50,11 @@ class CountingRows:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
-        """Row range of each run: its first row, and the one after its last."""
+        """First and one-past-last row index of each run, by run id."""
         return run_slices(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
-        """Return the step rows of one run; empty where it has none."""
+        """Return the step arrays of one run only; empty where it has none."""
         first, end = self.bounds.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
 
@@ -68,7 +68,7 @@ COUNTING_COLUMNS = (
 
 
 def counting_rows(steps: pd.DataFrame) -> CountingRows:
-    """Return as arrays the step rows that count: no warm-up, no disturbed round."""
+    """Convert a step table to arrays, without warm-up and disturbed repetitions."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
         "known": decided_steps(steps)[counts],
@@ -98,7 +98,7 @@ _FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 
 @dataclass(frozen=True, eq=False)
 class RunSteps:
-    """Steps of one run merged over its rounds: times, errors, iterations, flags (K,).
+    """Steps (K,) of one run merged over its repetitions: times, errors, iterations and flags.
 
     k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
     error, iterations : (K,) the largest over them, NaN where there is none.
@@ -129,14 +129,14 @@ class RunSteps:
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
     def at(self, places: Ints) -> RunSteps:
-        """Return a copy with only the steps at the given indices."""
+        """Return a copy of a run's steps with only those at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
 @dataclass(frozen=True)
 class HardStep:
-    """One of a run's hardest steps: time [ns], iterations or error, and its index."""
+    """One of a run's steps that are largest in time [ns], iterations or error, with its index."""
 
     measure: Measure
     value: float
@@ -144,13 +144,13 @@ class HardStep:
 
 
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
-    """Yield the id and the steps merged over rounds of each run, in table order."""
+    """Yield each run's id and its steps merged over repetitions, in table order."""
     for run_id in counting.bounds:
         yield run_id, _merge_rounds(counting.of(run_id))
 
 
 def _merge_rounds(rows: CountingRows) -> RunSteps:
-    """Merge the rounds of one run: extreme times and the largest error of each step."""
+    """Merge a run's repetitions: least and largest time, and largest error, of each step."""
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
@@ -186,7 +186,7 @@ def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[
 
 
 def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
-    """Return the minimum or maximum over the rounds of each step; NaN for none."""
+    """Return the minimum or maximum over the repetitions of each step (K,); NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)
     return out

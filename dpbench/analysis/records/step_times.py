@@ -17,7 +17,7 @@ TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 
 @dataclass(frozen=True, eq=False)
 class StepTimes:
-    """Step times of one replayed configuration: fastest round, largest timing.
+    """Step times of one replay: the fastest repetition of each step, and the largest timing.
 
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
     raw_max_ns : the largest single timing.
@@ -32,7 +32,7 @@ class StepTimes:
 
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Yield the id and step times of each run in a table of steps."""
+    """Convert a table of steps to step times: yield each run's id and its times."""
     for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
         best = np.full(int(k.max()) + 1, np.inf)
         np.minimum.at(best, k, total_ns)
@@ -44,7 +44,7 @@ def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
 def _counting_rows(
     steps: pd.DataFrame, *times: str
 ) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
-    """Yield id, rounds, steps and times [ns] of each run's rows that count."""
+    """Yield each run's id, repetition and step indices, and times [ns] from valid step rows."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
@@ -93,16 +93,16 @@ class Delays:
 
     @cached_property
     def without_waits(self) -> Delays:
-        """Copy in which the waits for the processor core are unknown."""
+        """Copy of these delays without the recorded waits for the processor core."""
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late(self, limit_ns: float) -> Ints:
-        """Count, by round (R,), the timings beyond a limit by the solver's own work."""
+        """Count, by repetition (R,), the timings over a limit by the solver's own work."""
         by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
         return self._count_by_round((self.delay_ns > limit_ns) & by_itself)
 
     def count_stalls(self, longer_than_ns: float) -> Ints:
-        """Count, by round (R,), the timings that exceed their base time by a given time."""
+        """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
         if longer_than_ns not in self._stalls:
             excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
             of_limit = OWN_SHARE * 2.0 * longer_than_ns
@@ -111,12 +111,12 @@ class Delays:
         return self._stalls[longer_than_ns]
 
     def _count_by_round(self, chosen: Flags) -> Ints:
-        """Count the selected delays in each round (R,)."""
+        """Count the selected delays in each repetition (R,) of the run."""
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
 
 
 def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
-    """Yield the id and delayed timings of each run in a table of steps."""
+    """Yield each run's id and its unusually long timings, from a table of steps."""
     for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
         yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 

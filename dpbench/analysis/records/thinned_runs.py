@@ -19,7 +19,7 @@ FORCES = ("tau_x_N", "tau_y_N", "tau_n_Nm")
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Ship positions (N, 3) [m, m, rad] and force shares (N, 3) at every n-th step."""
+    """Ship positions (N, 3) [m, m, rad] and forces (N, 3) as shares of limits, every n-th step."""
 
     every: int
     position: Floats
@@ -27,7 +27,7 @@ class Track:
 
 
 class HardRow(NamedTuple):
-    """One of a run's hardest steps: index, deciding value, status and active limits."""
+    """One of a run's hardest steps: index, time or iterations or error, status, active limits."""
 
     k: int
     value: float
@@ -39,7 +39,7 @@ class HardRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ThinnedRun:
-    """Selection of a run's steps that the page has room for, the hardest included.
+    """Steps of a run thinned to what the report page has room for, the hardest included.
 
     steps : those that are kept; extra : (K,) which of them for being hard alone.
     last : the last step of the run, kept or not; is_whole : whether all are kept.
@@ -64,7 +64,7 @@ class ThinnedRun:
 
 
 def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
-    """Return a run's hardest steps by one measure, hardest first."""
+    """Return a run's steps with the largest time, iterations or error, as table rows."""
     rows = []
     for hard in find_hardest_steps(run, measure):
         i = hard.at
@@ -76,7 +76,7 @@ def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
-    """Reduce the ship's positions and forces in a closed loop to `most` points.
+    """Thin a closed loop's ship positions and forces, the latter over limits, to `most` points.
 
     limits : (3,) of the forces [N, N, N·m].
     """
@@ -95,7 +95,7 @@ MOST = 2000
 
 
 def common_length_limit(lengths: Sequence[int], most: int) -> int:
-    """Return the common upper limit of some lengths that makes their sum at most `most`."""
+    """Return the largest cap for each of some lengths that keeps their sum within `most`."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):
         share = rest // (len(shortest_first) - i)
@@ -106,7 +106,7 @@ def common_length_limit(lengths: Sequence[int], most: int) -> int:
 
 
 def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
-    """Return the indices of about `most` steps to keep, and which are kept as hard.
+    """Return about `most` step indices to keep, and which are kept only for being hard.
 
     Of a longer run every n-th stays, and of the rest the hardest by each measure.
     """
@@ -122,9 +122,9 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
 
 
 def extreme_indices(values: Floats, most: int = MOST) -> Ints:
-    """Return indices (M,) of values to draw, with the extremes of each part.
+    """Return indices (M,) of at most `most` values to draw: least and largest of each section.
 
-    No more than `most`, of which a line of a few hundred pixels shows no difference.
+    A line of a few hundred pixels shows no difference.
     """
     if len(values) <= most:
         return np.arange(len(values))

@@ -14,7 +14,7 @@ from dpbench.bench.record.configuration import Configuration
 
 @dataclass(frozen=True)
 class WorstStep:
-    """Hardest step of a solver by one measure over all its runs.
+    """A solver's step of largest error, time or iterations over all runs, with its run's median.
 
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
@@ -27,19 +27,19 @@ class WorstStep:
 
     @property
     def k(self) -> int:
-        """Index of the step in its run."""
+        """Index of the worst step in its run."""
         return int(self.step.k[0])
 
     @property
     def export_command(self) -> str:
-        """Shell command that exports the step's QP with its certified optimum."""
+        """Shell command that writes the worst step's QP and certified optimum to a file."""
         run = self.run
         k = self.k + run.first_step
         return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """Return a solver's hardest step over all runs by error, time and iterations.
+    """Return, over all runs, a solver's step of largest error, of largest time, of most iterations.
 
     It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
     """
@@ -60,7 +60,7 @@ def worst_steps(records: Records, solver: str) -> list[WorstStep]:
 
 
 def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
-    """Return the hardest step of one run by error, time and iterations."""
+    """Return one run's step of largest error, of largest time, and of most iterations."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
         for hard in find_hardest_steps(steps, measure, 1):
@@ -70,7 +70,7 @@ def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstSte
 
 
 def find_step_value(records: Records, worst: WorstStep, configuration: Configuration) -> float:
-    """Return another configuration's time, iterations or error at a worst step, or NaN."""
+    """Return another configuration's time, iterations or error at a solver's worst step; or NaN."""
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place

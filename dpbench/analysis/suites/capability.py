@@ -35,29 +35,29 @@ class Answers:
 
     @property
     def unanswered(self) -> int:
-        """Number of QPs without an answer, those never reached included."""
+        """Number of QPs that a solver left without an answer, those never reached included."""
         return self.asked - self.right - self.wrong
 
     @property
     def is_all_right(self) -> bool:
-        """True if every QP was answered correctly."""
+        """True if the solver answered every QP correctly."""
         return self.right == self.asked
 
     @property
     def right(self) -> int:
-        """Number of correct answers: true optima and true claims of infeasibility."""
+        """Number of a solver's correct answers: true optima, true claims of infeasibility."""
         return self.balanced + self.refused
 
 
 def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """Count the right and wrong answers of each run, the best run first."""
+    """Count each run's right and wrong answers to thrust allocation QPs, the best run first."""
     answers = [_count_run_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
 class CapabilityResult:
-    """Capability plot of a vessel, and the solvers' answers to the QPs at its edge.
+    """Capability plot of a vessel, and solvers' answers to QPs at the largest winds held.
 
     sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
@@ -71,7 +71,7 @@ class CapabilityResult:
 
     @property
     def qps(self) -> int:
-        """Number of QPs at the edge of the plot that each solver was given."""
+        """Number of QPs at the largest winds held that each solver was given."""
         return max((answers.asked for answers in self.answers), default=0)
 
 
@@ -81,7 +81,7 @@ wind held, the DP capability number, and how many solvers made an untrue claim o
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
-    """Return the capability plots of a result folder, in the order of its suite.
+    """Return a folder's capability plots (wind held by direction), in suite order.
 
     table : of `load_capability`; None where the folder has none.
     """
@@ -111,7 +111,7 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Capab
 def _wind_by_direction(
     records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
 ) -> pd.DataFrame:
-    """Tabulate the largest wind held [m/s] by failure case and direction."""
+    """Tabulate the largest wind at which thrusters hold the ship, by failure and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))

@@ -29,7 +29,7 @@ SPAN = ("group", "from_s", "to_s", "state")
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """Counts of a configuration's right and wrong answers in a consequence analysis.
+    """Counts of a configuration's right and wrong answers on possible thruster losses.
 
     asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
@@ -52,18 +52,18 @@ class BatchAnswers:
 
     @property
     def unanswered(self) -> int:
-        """Number of QPs without an answer, those never reached included."""
+        """Number of QPs that a configuration left without an answer or never reached."""
         return self.asked - self.held - self.refused - self.untrue
 
     @property
     def is_all_right(self) -> bool:
-        """True if every QP was answered correctly."""
+        """True if the solver configuration answered every QP correctly."""
         return self.held + self.refused == self.asked
 
 
 @dataclass(frozen=True, eq=False)
 class ConsequenceAnalysis:
-    """Consequence analysis: when losses can be held, and what solvers answered.
+    """When a ship can hold position after losing thrusters, and what solvers answered.
 
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
@@ -76,12 +76,12 @@ class ConsequenceAnalysis:
 
     @property
     def best(self) -> dict[str, BatchAnswers]:
-        """Answers of the best configuration of each solver, by solver name."""
+        """Answers of each solver's best configuration, by solver name."""
         return first_by(self.answers, lambda answers: answers.solver)
 
 
 def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
-    """Return the consequence analyses of a result folder that have a step."""
+    """Return the folder's analyses of thruster losses, those in which a QP was solved."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
     batches = group_by(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
@@ -92,7 +92,7 @@ def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
 
 
 def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
-    """Build a consequence analysis from the runs of all its failure groups."""
+    """Build the analysis of possible thruster losses from the runs of all lost groups."""
     groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
@@ -110,7 +110,7 @@ def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> C
 
 
 def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Return the time spans in which the loss of one group can or cannot be held."""
+    """Return the time spans in which the ship can or cannot hold after one thruster group fails."""
     rows = records.counting_steps(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
@@ -125,7 +125,7 @@ def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.D
 def _count_batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """Count one configuration's answers over all failure groups, with batch times."""
+    """Count a configuration's answers over all thruster losses; add times per control sample."""
     of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
     batch_ns = _batch_times_ns(records, runs) if len(runs) == groups else np.zeros(0)
@@ -141,7 +141,7 @@ def _count_batch_answers(
 
 
 def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
-    """Count one run's right, refused, missed and untrue answers."""
+    """Count a run's answers on feasible and infeasible QPs: right, missed alarm, untrue."""
     claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
     always = {
@@ -158,7 +158,7 @@ def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
 
 
 def _batch_times_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Return the time to solve all groups' QPs at each sample (K,) [ns]; else empty."""
+    """Return the time (K,) [ns] to solve the QPs of all thruster losses per sample; or empty."""
     times = [records.times(run) for run in runs]
     timed = [known.algo_ns for known in times if known is not None]
     steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
@@ -169,13 +169,13 @@ def _batch_times_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
 
 
 def answers_in_all(analyses: Sequence[ConsequenceAnalysis]) -> dict[str, list[BatchAnswers]]:
-    """Return, by name, the answers of configurations run in every analysis."""
+    """Return, by name, the configurations run in every consequence analysis with their answers."""
     answers = [own for analysis in analyses for own in analysis.answers]
     by_name = group_by(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
 def largest_share(answers: Sequence[BatchAnswers]) -> float:
-    """Return the largest share of a sample that solving takes in any analysis, or NaN."""
+    """Return the largest share of a control sample that solving takes in any analysis; or NaN."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

@@ -30,7 +30,7 @@ CIRCLE_M = 1.0
 
 @dataclass(frozen=True)
 class LawPair:
-    """Runs of the paper's constrained control law and of its clipped baseline law.
+    """Runs of the paper's MPC law, and of its unconstrained law with clipped forces.
 
     whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
     """
@@ -41,7 +41,7 @@ class LawPair:
 
 
 def find_laws(view: Records, scenario: str) -> LawPair:
-    """Find the complete runs of the constrained and the clipped law in a scenario."""
+    """Find a scenario's complete runs of the MPC law and of the clipped unconstrained law."""
     loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
     off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
@@ -52,14 +52,14 @@ def find_laws(view: Records, scenario: str) -> LawPair:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Closed loop under one control law: its label and its steps."""
+    """Closed loop under one control law: name of the law and table of steps."""
 
     label: str
     steps: pd.DataFrame
 
 
 def find_paper_runs(view: Records) -> list[Law]:
-    """Return the steps of the constrained and the clipped law in the paper's scenario."""
+    """Return the steps of MPC and of clipped unconstrained control in the paper's scenario."""
     pair = find_laws(view, PAPER)
     if pair.constrained is None:
         return []
@@ -70,7 +70,7 @@ def find_paper_runs(view: Records) -> list[Law]:
 
 
 def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
-    """Return the north, east, radial [m] and heading [°] errors of the rows of a loop."""
+    """Return north, east and radial [m] and heading [°] errors at each step of a loop, by name."""
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
     psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
@@ -78,7 +78,7 @@ def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
 
 
 def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
-    """Return a control law's data for one of the paper's figures.
+    """Tabulate what one of the paper's figures shows, for one control law.
 
     Forces and increments have each axis, then its limits.
 
@@ -103,19 +103,19 @@ def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame
 
 
 def is_paper_scenario(view: Records, name: str) -> bool:
-    """Return whether a recorded scenario equals the packaged one of the paper."""
+    """Return whether a recorded scenario equals the paper's scenario in this package."""
     scenario = view.scenario(name) if name in OF_PAPER else None
     return scenario is not None and _document_content(scenario) == _packaged_content(name)
 
 
 @cache
 def _packaged_content(name: str) -> str:
-    """Return the packaged scenario of a name as JSON, without prose."""
+    """Return the named scenario of this package as JSON, without descriptive text."""
     return _document_content(load_scenario(name))
 
 
 def _document_content(scenario: Scenario) -> str:
-    """Return a scenario's documents as JSON, without prose, which may be reworded."""
+    """Return a scenario's documents as JSON, without descriptive text."""
     files = scenario.files
     documents = {
         key: {name: value for name, value in files[key].items() if name not in PROSE}
@@ -134,7 +134,7 @@ SAME = 0.01
 
 @dataclass(frozen=True, eq=False)
 class ClaimFinding:
-    """Evidence on one claim of the paper: criterion, state and values.
+    """Evidence on one claim of the paper: criterion, whether reproduced, and measured values.
 
     by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
     values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
@@ -162,7 +162,7 @@ SMALLER = {
 
 
 def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
-    """Judge a claim of the paper by the runs of its control laws."""
+    """Judge one claim of the paper by the runs of MPC and of the clipped unconstrained law."""
     is_own = is_paper_scenario(records, scenario)
     pair = find_laws(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2
@@ -203,7 +203,7 @@ def find_circle_entry_s(records: Records, run: RunRecord) -> float:
 
 
 def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
-    """Return whether both laws' steady errors are equal, as no limit is active."""
+    """Return whether MPC and clipped law end with equal errors, as no limit is active."""
     two = run.r_tail_max_m, law.r_tail_max_m
     active = records.steps(run)["n_active"].to_numpy()
     return abs(two[0] - two[1]) <= SAME * max(two) and not active[len(active) // 2 :].any()

@@ -25,7 +25,7 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of true and false claims that solvers made on QP steps.
+    """Counts of true and false solver claims, of an optimum or infeasibility, over QPs.
 
     steps : certified steps that were reached; missed : asked for and never reached.
     right_claims, false_claims : claimed, and true or not; not_claimed : true and not claimed.
@@ -49,7 +49,7 @@ class Tally:
 
 
 class RandomClaims:
-    """True and false claims of solvers on all random QP sequences.
+    """True and false claims of optimality or infeasibility by solvers on all random QPs.
 
     `runs` are those that were not refused, each once: settings without effect, one run shown under
     several names, are one run with all of them in `settings`.
@@ -68,7 +68,7 @@ class RandomClaims:
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def tally_by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Sum the claim counts of runs by the values of given columns."""
+        """Sum the counts of true and false claims over runs with equal values in given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
@@ -76,7 +76,7 @@ class RandomClaims:
 
 
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Merge the runs that are equal under several settings names."""
+    """Merge runs that are one measurement listed under several names of settings."""
     kept: list[RunRecord] = []
     for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by(own, lambda run: run.settings)
@@ -87,7 +87,7 @@ def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _measurement_key(runs: Sequence[RunRecord]) -> str:
-    """Return a key of a configuration's runs, equal only for the same measurements."""
+    """Return a text that is equal for lists of runs with the same measured values."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
@@ -95,12 +95,12 @@ CLAIMS = ("status", "certificate", "claimed", "true")
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """Count the true and false claims of each run, by run id."""
+    """Count each run's true and false claims of optimality or infeasibility, by run id."""
     return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 
 def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
-    """Classify the claim at each step as right or wrong: a Boolean column per kind."""
+    """Classify each step's claim as true or false: a table with a Boolean column per kind."""
     known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(

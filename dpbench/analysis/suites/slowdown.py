@@ -20,7 +20,7 @@ class DelayedConfiguration:
 
     @property
     def survived_slowdown(self) -> float:
-        """Largest slow-down up to which every closed loop survives; NaN for none."""
+        """Largest computer slow-down up to which every closed loop survives; NaN for none."""
         survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
 
@@ -42,7 +42,7 @@ def delayed_groups(records: Records) -> list[DelayedGroup]:
 
 
 def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
-    """Group slow-computer loops by configuration, those that survive most first."""
+    """Group closed loops on slow computers by configuration; most slow-down survived first."""
     rising = sorted(runs, key=lambda run: run.slowdown)
     delayed = [
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
@@ -52,7 +52,7 @@ def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfigura
 
 
 def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Return a sort key: largest survived slow-down first, then the least cost."""
+    """Return a sort key of configurations: largest slow-down survived, then least cost."""
     last = list(configuration.loops.values())[-1]
     values = -configuration.survived_slowdown, cost_ratio(last)
     survives, cost = (math.inf if math.isnan(value) else value for value in values)

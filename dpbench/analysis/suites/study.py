@@ -53,7 +53,7 @@ EXACT_FIRST = ("paper_active_set", "daqp")
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Difference of a figure between two configurations in the same realisations.
+    """Mean difference of an error or cost between two configurations in the same seas.
 
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
@@ -73,7 +73,7 @@ class PairedDifference:
         return self.estimate.interval
 
     def replicates_for(self, difference: float) -> int | None:
-        """Return the realisations per point that make a difference significant, or None."""
+        """Return how many seas per point make a difference of given size significant; or None."""
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -85,7 +85,7 @@ class PairedDifference:
 
 
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
-    """Return the mean difference one − other over realisations that both finished.
+    """Return the mean difference of two configurations over the seas that both finished.
 
     one, other : values indexed by (point, replicate).
     """
@@ -106,7 +106,7 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
 
 
 def mean_over_points(values: Floats) -> MeanEstimate:
-    """Estimate the mean over points of the means over realisations, with its error.
+    """Estimate the mean over study points of their means over sea realisations, with error.
 
     values : (points, realisations), NaN where a run is lost; each point has one at least.
     """
@@ -138,7 +138,7 @@ def mean_over_points(values: Floats) -> MeanEstimate:
 
 @dataclass(frozen=True, eq=False)
 class StudiedConfiguration:
-    """Results of a configuration in a study: share held, cost, excess error.
+    """Results of a configuration in a study: share of runs in position, cost, error, p-values.
 
     runs, finished : how many it was given, and how many came to their end.
     held : share of runs whose radial error stays within the radius in their second half; a run
@@ -168,30 +168,30 @@ class StudiedConfiguration:
 
     @property
     def differs(self) -> bool:
-        """True if the radial error differs significantly from the reference's."""
+        """True if the configuration's radial error differs significantly from the reference's."""
         return self.p_differs <= ALPHA
 
     @property
     def has_larger_error(self) -> bool:
-        """True if the radial error is significantly larger than the reference's."""
+        """True if the configuration's radial error is significantly over the reference's."""
         excess = self.error_excess_m
         return excess is not None and self.differs and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
-        """Solver tolerance of the settings; None if a library's own or none to set."""
+        """Solver tolerance that a configuration's settings state; None if default or without."""
         return _find_tolerance(self.solver, self.settings)
 
     @property
     def is_cheap(self) -> bool:
-        """True if it costs significantly less than 1 cm and 1 % over the reference."""
+        """True if the configuration adds significantly less than 1 cm error and 1 % cost."""
         if self.finished < self.runs:
             return False
         return self.error_excess_m is None or self.p_cheap <= ALPHA
 
     @property
     def p_unadjusted(self) -> tuple[float, float]:
-        """P-values for this configuration alone that it differs, and that it is cheap."""
+        """P-values, uncorrected, of differing from the reference, and of adding little to it."""
         if self.error_excess_m is None or self.log_cost_excess is None:
             return 1.0, 1.0
         cheap = self.log_cost_excess.estimate.p_below(math.log1p(SMALL_COST))
@@ -202,7 +202,7 @@ class StudiedConfiguration:
 
 
 class Study:
-    """All runs of one study: configurations over points and sea realisations."""
+    """All runs of one study: solver configurations over parameter points and sea realisations."""
 
     def __init__(self, name: str, runs: Sequence[RunRecord], radius_m: float) -> None:
         self.name, self.radius_m = name, radius_m
@@ -233,17 +233,17 @@ class Study:
 
     @property
     def replicates(self) -> int:
-        """Number of sea realisations in which each point was run."""
+        """Number of sea realisations in which each parameter point was run."""
         return int(self.runs["replicate"].nunique())
 
     @property
     def realisations(self) -> int:
-        """Number of independent draws: of the sea, or of points that are all run once."""
+        """Number of independent samples: sea realisations, or points if each is run once."""
         return self.replicates if self.replicates > 1 else len(self.points)
 
     @cached_property
     def reference(self) -> str:
-        """Name of the most exact configuration, with which the others are compared.
+        """Name of the most exact configuration, with which all others are compared.
 
         Of those that finished most runs the most exact by its settings. No error or cost decides:
         those are compared.
@@ -258,7 +258,7 @@ class Study:
 
     @cached_property
     def configurations(self) -> list[StudiedConfiguration]:
-        """Results of every configuration, the reference first, then by excess cost."""
+        """Results of every configuration, the reference first, then by increasing cost change."""
         known = [
             self._summarise_configuration(str(name)) for name in self.runs["configuration"].unique()
         ]
@@ -273,18 +273,18 @@ class Study:
         ]
 
     def values(self, configuration: str, column: str) -> pd.Series:
-        """Return a column of a configuration's finished runs, by (point, replicate)."""
+        """Return one result of a configuration's finished runs, as a series by point and sea."""
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
     def difference(self, configuration: str, column: str) -> PairedDifference:
-        """Return a column's mean difference from the reference in the same realisations."""
+        """Return a configuration's mean difference from the reference in the same seas."""
         return paired_difference(
             self.values(configuration, column), self.values(self.reference, column)
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
-        """Summarise the runs of one configuration, compared with the reference."""
+        """Summarise one configuration's runs in this study, compared with the reference."""
         runs = self.runs[self.runs["configuration"] == name]
         itself = name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]
@@ -303,7 +303,7 @@ class Study:
 
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
-        """Loosest cheap tolerance of each solver run at several; None where none is."""
+        """Loosest tolerance of each solver that adds next to no error or cost; None if none."""
         stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
         for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
@@ -312,14 +312,14 @@ class Study:
         return loosest
 
     def held_map(self, configuration: str) -> pd.DataFrame:
-        """Tabulate the runs and the share held at each point for one configuration."""
+        """Tabulate a configuration's runs, and share with position held, at each study point."""
         runs = self.runs[self.runs["configuration"] == configuration]
         held = runs.groupby("point")["held"].agg(runs="count", held="mean")
         return self.points.join(held, how="inner")
 
 
 def find_studies(records: Records) -> list[Study]:
-    """Return all studies of a result folder."""
+    """Return all studies of a result folder: solvers over many parameter points and seas."""
     radii = {
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
@@ -329,7 +329,7 @@ def find_studies(records: Records) -> list[Study]:
 
 
 def _find_tolerance(solver: str, settings: str) -> float | None:
-    """Return the tolerance of a solver's settings; None for a library's own or none."""
+    """Return the tolerance that a solver's settings state; None if default or without one."""
     if find_solver_record(solver) is None or not has_tolerance_levels(solver):
         return None
     return TOLERANCES.get(settings) or parse_tolerance(settings)

@@ -18,12 +18,12 @@ MOST_DOTS = 1500
 
 
 def has_point_per_tile(study: Study) -> bool:
-    """Return whether a study has few enough points to map each one alone."""
+    """Return whether a study has few enough parameter points to draw each as its own tile."""
     return len(study.points) <= MOST_POINTS
 
 
 def held_maps(study: Study) -> pd.DataFrame:
-    """Tabulate the share of seas held over two keys, for the reference and the worst.
+    """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
     Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
     """
@@ -46,7 +46,7 @@ def held_maps(study: Study) -> pd.DataFrame:
 
 
 def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
-    """Return, for each value, the centre of its bin among equal bins."""
+    """Return for each value the centre of its bin, of equally wide bins over the range."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
     number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
@@ -54,14 +54,14 @@ def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
 
 
 def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
-    """Return a mean difference [cm], its interval ends (None without) and its pairs."""
+    """Convert a paired mean difference [m] to [cm]: mean, interval ends (or None), pairs."""
     mean = difference.mean
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
 def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """Return each configuration's mean excess error, its values by sea [cm], their count."""
+    """Tabulate configurations' errors over the reference [cm]: means, values by sea, count."""
     reference = study.values(study.reference, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0
@@ -78,7 +78,7 @@ def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
 
 
 def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """Return each run's excess error over the reference in the same sea [cm], or NaN."""
+    """Return each run's position error less the reference's in the same sea [cm], or NaN."""
     reference = study.values(study.reference, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
     other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
@@ -86,7 +86,7 @@ def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
 
 
 def worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Return the id of the run with the largest error, of the worst configuration.
+    """Return the id of the run with the largest position error of a study's worst configuration.
 
     It is of the configuration that holds fewest seas, or else of that farthest from the exactly
     solved loop: in a sea that it does not hold, or else in the one of its largest error.

@@ -45,24 +45,24 @@ class PairedComparison:
 
     @property
     def tied(self) -> bool:
-        """True if the ratio's interval contains 1, so that neither is faster."""
+        """True if the time ratio's interval contains 1, so that neither solver is faster."""
         return self.ratio.spans(1.0)
 
     @property
     def unstable(self) -> bool:
-        """True if the yardstick, p99 or median, decides which of the two is faster."""
+        """True if it depends on p99 or median which of two configurations is faster."""
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
     @property
     def row(self) -> dict[str, Any]:
-        """Table row: both names, ratio with interval, and whether it is tied or unstable."""
+        """Table row: names of both configurations, time ratio with interval, tied, unstable."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
         return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
 
 
 def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
-    """Return the algorithmic times of the steps that both configurations have done."""
+    """Return the step times of two configurations on the steps that both have done."""
     if np.array_equal(first.k, second.k):
         return first.algo_ns, second.algo_ns
     _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
@@ -70,7 +70,7 @@ def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
 
 
 def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
-    """Return half the interval width of two configurations' log time ratio, or NaN.
+    """Return the interval half-width of two configurations' log time ratio; NaN if unknown.
 
     first, second : step times by the index of the replay.
     """
@@ -81,7 +81,7 @@ def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTime
 
 
 def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
-    """Compare two configurations' times on the sequences that both replayed.
+    """Compare two configurations' step times on the QP sequences that both replayed.
 
     Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
     there is none.
@@ -108,9 +108,9 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
 def find_faster_inconclusive(
     records: Records, verdicts: Verdicts, chosen: Verdict
 ) -> list[Verdict]:
-    """Find inconclusive configurations that are surely faster than the chosen one.
+    """Find configurations of inconclusive verdict that are surely faster than the chosen one.
 
-    Only those surely faster than `chosen`, without anything against the requirements.
+    Those without anything against the requirements.
     """
     unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
     ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
@@ -120,7 +120,7 @@ def find_faster_inconclusive(
 
 
 def _find_step_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
-    """Return the step times of a configuration on a sequence; None without a replay."""
+    """Return a judged configuration's step times on a QP sequence; None without a replay."""
     for run in records.replays(sequence):
         if run.configuration.in_common_formulation == verdict.configuration:
             return records.times(run)
@@ -147,7 +147,7 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 
 @dataclass(frozen=True)
 class RouteGain:
-    """Speed-up of one call mode of a solver over its neighbouring call mode.
+    """Speed-up of one way to call a solver (interface, warm start) over the next simpler one.
 
     gain : geometric mean of the neighbour's time over this one's, over their common steps.
     median_ns : median of its algorithmic step time.
@@ -162,7 +162,7 @@ class RouteGain:
 
 
 def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
-    """Compare the call modes of solvers also called natively, the fastest first.
+    """Compare the ways to call each solver, native or not, by step time; fastest solver first.
 
     None where no native route has a neighbour.
     """
@@ -184,7 +184,7 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
 def _gains_by_route(
     times: Mapping[RoutePolicy, StepTimes],
 ) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
-    """Yield neighbour mode, call mode, speed-up and median time of each call mode."""
+    """Yield each way to call a solver with its speed-up over the next simpler, and median time."""
     for route, own in times.items():
         above = next((above for above in ABOVE.get(route, ()) if above in times), None)
         if above is not None:
@@ -194,7 +194,7 @@ def _gains_by_route(
 
 
 def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
-    """Return the settings levels at which each solver is right on every step."""
+    """Return, by solver, the tolerance settings at which it is right on every step."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
     for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
@@ -221,7 +221,7 @@ def count_fastest_forms(records: Records, requirements: Requirements) -> Counter
 def match_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Yield timed replays of two solvers in the same call mode, with both step times."""
+    """Yield timed replays of two solvers called the same way, with both solvers' step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

@@ -41,7 +41,7 @@ def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | No
 
 @dataclass(frozen=True, eq=False)
 class SweepPoint:
-    """Times and accuracy of one configuration at one pair of horizons."""
+    """Replay, step times and correctness of one configuration at one pair of horizons."""
 
     run: RunRecord
     times: StepTimes | None
@@ -49,41 +49,41 @@ class SweepPoint:
 
     @property
     def median_ns(self) -> float:
-        """Median of the algorithmic step time; NaN where steps are missing."""
+        """Median step time [ns], each step's fastest repetition; NaN where steps are missing."""
         return float(np.median(self.times.algo_ns)) if self.times else math.nan
 
     @property
     def p99_ns(self) -> float:
-        """p99 of the algorithmic step time; NaN where the steps do not support one."""
+        """p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """p99 of the algorithmic step time with its 95 % interval."""
+        """p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
 class SweptConfiguration:
-    """Replays of one configuration over the horizons of a sweep."""
+    """Replays of one solver configuration over several MPC horizons."""
 
     configuration: Configuration
     points: dict[Horizons, SweepPoint]
 
     @property
     def timed(self) -> dict[Horizons, SweepPoint]:
-        """Points with a time for every step, by horizons."""
+        """Replays with a time for every step, by prediction and control horizon."""
         return {h: point for h, point in self.points.items() if point.times is not None}
 
     @property
     def growth(self) -> float | None:
-        """Exponent p of the median step time over the number of QP variables n^p."""
+        """Exponent p of median step time growing as n^p with the number n of QP variables."""
         sizes = [count_variables(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     @property
     def has_p99(self) -> bool:
-        """True if any of its replays has enough steps for a p99."""
+        """True if any of this configuration's replays has enough steps for a p99 time."""
         return any(math.isfinite(point.p99_ns) for point in self.timed.values())
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
@@ -92,12 +92,12 @@ class SweptConfiguration:
         return max(fit, key=_moves_key, default=None)
 
     def has_p99_beyond(self, horizons: Horizons) -> bool:
-        """Return whether a replay at longer horizons has a p99."""
+        """Return whether a replay at horizons longer than given ones has a p99 time."""
         beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
     def is_settled(self, limit_ns: float) -> bool:
-        """Return whether p99 intervals leave no doubt on the largest horizons in time."""
+        """Return whether p99 intervals leave no doubt on the largest horizons within a time."""
         largest = self.largest_within(limit_ns)
         beyond = [
             point
@@ -109,7 +109,7 @@ class SweptConfiguration:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The replays of one scenario under several horizons, the shortest first."""
+    """Replays of one scenario with several MPC horizons, the shortest horizons first."""
 
     name: str
     steps: int
@@ -118,16 +118,16 @@ class Sweep:
 
     @property
     def horizons(self) -> list[Horizons]:
-        """All pairs of horizons in the sweep, by control horizon."""
+        """All pairs of prediction and control horizon in the sweep, the shortest first."""
         return list(self.sequences)
 
     @property
     def has_p99(self) -> bool:
-        """True if any of its replays has enough steps for a p99."""
+        """True if any replay of the sweep has enough steps for a p99 step time."""
         return any(swept.has_p99 for swept in self.swept)
 
     def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
-        """Return a configuration's longest horizons with right answers in time, or None.
+        """Return a configuration's longest horizons solved rightly within a time limit, or None.
 
         By p99, or by the largest step where there are too few for one.
         """
@@ -149,7 +149,7 @@ class Sweep:
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
-    """Find the scenarios replayed under two or more pairs of horizons."""
+    """Find the scenarios replayed with two or more pairs of MPC horizons."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = group_by(replays, _swept_problem_key)
@@ -160,12 +160,12 @@ def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
 
 
 def _moves_key(horizons: Horizons) -> tuple[int, int]:
-    """Return a sort key of horizons: control horizon, then prediction horizon."""
+    """Return a sort key of an MPC horizon pair: control horizon, then prediction horizon."""
     return horizons[1], horizons[0]
 
 
 def _swept_problem_key(run: RunRecord) -> str:
-    """Return a key of replays that differ in their horizons only; "" if no scenario."""
+    """Return a text equal for replays of one scenario differing only in MPC horizons; or ""."""
     files = run.scenario_files
     if files is None or run.horizons is None:
         return ""
@@ -177,7 +177,7 @@ def _swept_problem_key(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
-    """Build a horizon sweep from the replays of one scenario."""
+    """Build a comparison over MPC horizons from the replays of one scenario."""
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:
@@ -198,7 +198,7 @@ def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requ
 
 
 def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
-    """Return a sort key: most horizons right, most timed, then the fastest."""
+    """Return a sort key of configurations: most horizons right, most timed, then fastest."""
     right = sum(point.right for point in swept.timed.values())
     largest = max(swept.timed, key=_moves_key, default=None)
     slowest_ns = swept.timed[largest].median_ns if largest else math.inf

@@ -20,9 +20,9 @@ neighbours too."""
 
 
 def round_spread(records: Records) -> tuple[float, float]:
-    """Return median and 95 % quantile of configurations' slowest over fastest round.
+    """Return median and 95 % quantile, over configurations, of slowest over fastest repetition.
 
-    Over the configurations; NaN without two rounds.
+    NaN without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
     return (
@@ -31,7 +31,7 @@ def round_spread(records: Records) -> tuple[float, float]:
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
-    """Return every timed replay, calibration included, each once.
+    """Return every timed replay, those of the benchmark's test solvers included, each once.
 
     Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
     among those that the machine is judged by.
@@ -47,7 +47,7 @@ def delayed_runs(records: Records) -> list[RunRecord]:
 
 
 def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Tell context switches that a configuration makes itself from the machine's."""
+    """Tell context switches that a solver causes itself from those of the machine, per run."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
@@ -60,20 +60,20 @@ def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def _switches_per_step(run: RunRecord) -> float:
-    """Return a run's involuntary context switches per step; NaN without a round."""
+    """Return a run's involuntary context switches per step; NaN without a repetition."""
     rounds = 1.0 if run.mode == "closed_loop" else run.rounds
     # One that was stopped before its first round that counts has none.
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
 def _measurement_key(run: RunRecord) -> tuple[object, ...]:
-    """Return a key of a replay that equals for one run under several settings names."""
+    """Return a key equal for one measured replay listed under several names of settings."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
 def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
-    """Sum the disturbances of replays: rounds, context switches, stolen time."""
+    """Sum what disturbed replays: repetitions, context switches, stolen processor time."""
     parts = [
         Disturbance(
             rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,
@@ -90,7 +90,7 @@ def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
 
 
 def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
-    """Return what disturbed the timed replays of each sequence, where it is known.
+    """Return what disturbed the timing of replays, by QP sequence, where it is known.
 
     Random problems, which are not timed alone, are not included.
     """
@@ -100,23 +100,23 @@ def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
 
 
 def largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return the largest known figure of each name."""
+    """Return the largest number that is not NaN for each name, from pairs (name, number)."""
     known = group_by((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
     return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Return the largest median timing [ns] of each calibration solver."""
+    """Return the largest median timing [ns] of each of the benchmark's test solvers."""
     return largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
 
 
 def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
-    """Return the shortest measured wait of known length [ns]; NaN for none."""
+    """Return the shortest known wait by which the timing was checked [ns]; NaN for none."""
     waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
     return float(min(waits, default=math.nan))
 
 
 def library_call_ns(records: Records) -> float:
-    """Return the time of a library call that only copies data [ns]; NaN if not run."""
+    """Return the time of a solver call that only copies data [ns]; NaN if not run."""
     times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
     return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

@@ -31,7 +31,7 @@ LARGEST_ERROR = 1e3
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """Return a configuration's solver, route, policy and settings as columns."""
+    """Return a configuration's solver, interface, warm start and settings by column name."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
@@ -65,7 +65,7 @@ def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
-    """Return a configuration's speed margin and the steps that limit it, as columns."""
+    """Return how much slower a computer may be for a configuration, and the limiting steps."""
     margin = matrix.margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
@@ -90,7 +90,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the step times [ms] of the best configuration of each timed solver."""
+    """Tabulate the step times [ms] of each solver's best configuration."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -116,7 +116,7 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the verdict on each solver by experiment and settings level."""
+    """Tabulate the verdict on each solver by scenario or replay, and tolerance settings."""
     best = {
         v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
     }
@@ -132,7 +132,7 @@ def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
-    """Return the verdict on a configuration in one experiment as a table row."""
+    """Return the verdict on a configuration in one scenario or replay as a table row."""
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
@@ -151,7 +151,7 @@ def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[st
 
 
 def level_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate error and step time of each solver at each settings level.
+    """Tabulate largest error and step time of each solver at each of its tolerance settings.
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
@@ -177,7 +177,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
-    """Tabulate the hardest steps of every run by time, iterations and error.
+    """Tabulate the steps of every run that are largest in time, iterations and error.
 
     kept : by run id.
     """
@@ -199,14 +199,14 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.Dat
 
 
 def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the time ratio of each solver's best configuration to the fastest."""
+    """Tabulate each solver's step time over that of the fastest, best configurations of both."""
     timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
     pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
 def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """Return the timed configurations, and the log ratio half-width of each two.
+    """Return the timed configurations, and of each two the log time ratio's half-width.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """
@@ -220,7 +220,7 @@ def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 
 @dataclass(frozen=True)
 class LevelPoint:
-    """Step times and error of a solver at one settings level, over all sequences.
+    """Step times and error of a solver at one tolerance setting, over all QP sequences.
 
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
         so that both are of the same steps; where none does, p50 over all and p99 NaN.
@@ -237,7 +237,7 @@ class LevelPoint:
 def level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
-    """Return each solver's times and error at its settings levels, in one call mode.
+    """Return, by solver, step times and error at each of its tolerance settings.
 
     sequences : all of which a configuration was replayed on, or it has no point.
     modes : route and policy by solver; one that is not in it has no points.
@@ -258,7 +258,7 @@ def level_points(
 def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
-    """Return a configuration's worst times and error over sequences; None if untimed."""
+    """Return one configuration's worst step times and error over QP sequences; or None."""
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None

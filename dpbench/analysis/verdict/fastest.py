@@ -21,7 +21,7 @@ ALIKE = 0.03
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Sort verdicts by p99 step time, else by the largest; untimed ones last."""
+    """Sort verdicts on configurations by p99 step time, else the largest; untimed ones last."""
     return sorted(
         verdicts,
         key=lambda v: (
@@ -38,7 +38,7 @@ def _finite_or_inf(time_ns: float) -> float:
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
-    """Return the qualifying configurations with most timed sequences, fastest first.
+    """Return the configurations without faults timed on most QP sequences, fastest first.
 
     Of two names of one run the more usual settings.
     """
@@ -49,12 +49,12 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
 
 
 def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """Return a solver's fastest qualifying configuration, usual settings preferred."""
+    """Return a solver's fastest configuration without faults, usual settings preferred."""
     return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
 def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
-    """Return the fastest qualifying configuration of each solver, the fastest solver first."""
+    """Return each solver's fastest configuration without faults, the fastest solver first."""
     by_solver = group_by(
         rank_configurations(verdicts), lambda verdict: verdict.configuration.solver
     )
@@ -62,7 +62,7 @@ def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
 
 
 def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
-    """Return the most usual settings that are as fast as a solver's fastest."""
+    """Return of a solver's about equally fast configurations the one of most usual settings."""
     best = own[0]
     mode = best.configuration.route, best.configuration.policy
     usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time_ns(best), best.rounds_ns
@@ -91,7 +91,7 @@ def _ranking_time_ns(verdict: Verdict) -> float:
 
 @dataclass(frozen=True)
 class SolverChoice:
-    """Recommended solver of a result folder, the runner-up, and a faster one.
+    """Recommended solver configuration of a result folder, the runner-up, and any faster one.
 
     chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
@@ -105,7 +105,7 @@ class SolverChoice:
 
 
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
-    """Choose the deployable solver with the smallest p99 among those that pass.
+    """Choose, of the solvers that pass and can be deployed, the one of smallest p99 step time.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
@@ -121,7 +121,7 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
 
 
 def find_solver_record(solver: str) -> SolverRecord | None:
-    """Return the record of a solver; None for one that this installation does not have."""
+    """Return the description of a solver by its name; None if it is not known here."""
     try:
         return find_record(solver)
     except UnknownNameError:
@@ -129,18 +129,18 @@ def find_solver_record(solver: str) -> SolverRecord | None:
 
 
 def solver_family(solver: str) -> str:
-    """Return a solver's method family, as active set; "not stated" if unknown."""
+    """Return a solver's method family, as "active set"; "not stated" if unknown."""
     return str(getattr(find_solver_record(solver), "family", "not stated"))
 
 
 def deployment_blocker(solver: str) -> str:
-    """Return why a solver cannot be deployed as it is; "" where it can."""
+    """Return why a solver cannot be used aboard as it is; "" where it can."""
     known = find_solver_record(solver)
     return "not in the table of this installation" if known is None else known.deployment_blocker
 
 
 def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
-    """Return the best verdict of each solver, sorted by state, then by time.
+    """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
 
     It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
     fastest. Where some were run in both modes, those without a loop or a replay do not count.

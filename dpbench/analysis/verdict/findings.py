@@ -52,7 +52,7 @@ OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Reason for a verdict on a configuration: a fault, doubt, near limit or gap.
+    """Reason for a verdict on a configuration: fault, doubt, time near a limit, missing run.
 
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
@@ -70,7 +70,7 @@ class Finding:
 def finding_on_worst(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return one finding on several runs, the worst by a figure first; or none."""
+    """Return a list of one finding on several runs, the worst first; empty without a run."""
     if not runs:
         return []
     worst = max(runs, key=figure)

@@ -70,7 +70,7 @@ PASSES = 3
 
 @dataclass(frozen=True)
 class LateTimings:
-    """Late timings of one run, with the share that the machine explains.
+    """Number of a run's solver calls that took too long, and the share the machine explains.
 
     late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
@@ -86,24 +86,24 @@ class LateTimings:
 
     @property
     def share(self) -> float:
-        """Share of the timings that are late."""
+        """Share of a run's timings that are late."""
         return self.late / self.samples
 
     @property
     def is_proven(self) -> bool:
-        """True if the test excludes the machine as the cause of the late timings."""
+        """True if the test excludes the machine as the cause of a run's late timings."""
         return self.p <= PROVEN
 
 
 @dataclass(frozen=True)
 class StallModel:
-    """Stalls of the machine: rate per ns of exposed time, dispersion of counts."""
+    """Model of a computer's stalls: rate per ns of computing time, dispersion of counts."""
 
     rate: float
     shape: float
 
     def tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
-        """Return P(X ≥ count) of X stalls in `exposed_ns`, plus 1 % of `allowed` timings."""
+        """Return P(`count` or more late): stalls in `exposed_ns`, 1 % of `allowed` timings."""
         mean = self.rate * exposed_ns
         if count <= 0:
             return 1.0
@@ -122,7 +122,7 @@ MachineAt = Callable[[float], StallModel]
 def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
-    """Test every replay and closed loop for late timings; return those found by run id."""
+    """Test all replays and closed loops for solver calls that are late; return them by run id."""
     scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
     runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
@@ -153,13 +153,13 @@ def find_late_timings(
 
 
 def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
-    """Return a run's delays, without core waits if its own threads may cause them."""
+    """Return a run's delays, ignoring waits for the core that its own threads may cause."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
     return delays.without_waits if waits else delays
 
 
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
-    """Adjust the p-values of one family of late-timing tests by Holm's method."""
+    """Adjust the p-values of tests for late timings by Holm's method, as one family."""
     family = [test for test in tests if not math.isnan(test.machine)]
     adjusted = adjust_holm(np.array([test.p for test in family]))
     return [
@@ -196,7 +196,7 @@ def _test_replays(
 
 
 def _build_stall_model(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
-    """Return the stall model by limit [ns], fitted to other runs; None without any."""
+    """Return a function from time limit to stall model, fitted to other runs; or None."""
     if has_waits:
         comparable = [other for other in others if other.has_waits]
     else:
@@ -210,7 +210,7 @@ def choose_trusted_runs(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[RunRecord]:
-    """Choose the runs for the first stall estimate: calibration, else the calmest.
+    """Choose runs to estimate the machine's stalls from: test solvers, else the calmest.
 
     These are the calibration configurations, or else the half of the solvers with fewer stalls.
     """
@@ -224,7 +224,7 @@ def choose_trusted_runs(
 
 
 def _fit_stalls(others: Sequence[Delays], limit_ns: float) -> StallModel:
-    """Estimate the machine's stalls beyond half a limit from other solvers' runs.
+    """Estimate the rate of machine stalls beyond half a limit from other solvers' runs.
 
     Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
@@ -236,7 +236,7 @@ def _fit_stalls(others: Sequence[Delays], limit_ns: float) -> StallModel:
 
 
 def estimate_stalls(stalls: Floats, exposed_ns: Floats) -> StallModel:
-    """Estimate stall rate and dispersion from counts (R,) and exposed times (R,).
+    """Estimate stall rate and dispersion from counts (R,) in computing times (R,) [ns].
 
     The rate has half a stall added (Jeffreys), the shape is that of the moments.
     """
@@ -266,7 +266,7 @@ def _test_replay(
 
 
 def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, allowed: int) -> float:
-    """Return the p-value of the late timings in the middle one of a replay's rounds."""
+    """Return the p-value of the late timings in a replay's repetition of median count."""
     counts, rounds = own.count_late(limit_ns), len(own.samples)
     middle = (rounds - 1) // 2
     x = int(np.sort(counts)[middle])
@@ -275,7 +275,7 @@ def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, all
 
 
 def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test a run of one round for late timings that the machine does not explain."""
+    """Test a run timed once per step for late timings that the machine does not explain."""
     late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
     explained = _count_explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
@@ -304,7 +304,7 @@ def _test_deadline(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[LateTimings]:
-    """Test timings past the deadline against equally long stalls of other solvers."""
+    """Test step timings past the deadline against equally long stalls in other solvers' runs."""
     limit_ns = requirements.deadline_ns
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):

@@ -24,19 +24,19 @@ class Requirements:
 
     @classmethod
     def of(cls, suite: SuiteDescription) -> Requirements:
-        """Read the requirements of a suite, with defaults where it has none."""
+        """Read the limits on error, failed steps and time from a suite, or take defaults."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
         return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
 
     @property
     def p99_ns(self) -> float:
-        """Limit on the p99 of the algorithmic step time [ns]."""
+        """Limit on the p99 step time, each step's fastest repetition [ns]."""
         return self.p99_ms * 1e6
 
     @property
     def deadline_ns(self) -> float:
-        """Deadline of a step [ns]."""
+        """Deadline for the solution of a step's QP [ns]."""
         return self.deadline_ms * 1e6
 
 
@@ -60,12 +60,12 @@ def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
 
 
 def cost_ratio(run: RunRecord) -> float:
-    """Return a closed loop's cost over the reference loop's; NaN if it did not end."""
+    """Return a closed loop's cost over that with exact solutions; NaN if it did not end."""
     if not run.steps_done >= run.steps_planned:
         return math.nan
     return run.closed_loop_cost / run.exact_cost
 
 
 def has_survived(run: RunRecord) -> bool:
-    """Return whether a closed loop ended at a cost within 10 % and without violation."""
+    """Return whether a closed loop ended within 10 % of the exact cost, without violations."""
     return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -26,7 +26,7 @@ from dpbench.scenario.scenario import Scenario, build_scenario
 
 @dataclass(frozen=True)
 class Experiment:
-    """Scenario in closed loop, sequence in replay, or one realisation of a study."""
+    """What configurations are judged on: a scenario in closed loop, a replay, or a study's run."""
 
     mode: str
     name: str
@@ -39,7 +39,7 @@ class Experiment:
 
     @classmethod
     def of(cls, run: RunRecord, formulation: str = "") -> Experiment:
-        """Return the experiment of a run: scenario, sequence or study realisation."""
+        """Return what a run is judged on: scenario, replayed QP sequence or study realisation."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)
             return cls(run.mode, run.scenario, run.units, 0.0, "", *study)
@@ -49,12 +49,12 @@ class Experiment:
 
     @property
     def order(self) -> tuple[bool, bool, bool]:
-        """Sort key of the page: loops before replays, SI units after both, studies last."""
+        """Sort key: closed loops before replays, problems in SI units after both, studies last."""
         return self.study != "", self.mode == "replay", self.units == "si"
 
     @property
     def label(self) -> str:
-        """Name of the experiment on the page."""
+        """Name of the scenario, replay or study realisation on the report page."""
         if self.study:
             return f"{self.study}: point {self.point}, sea {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
@@ -66,7 +66,7 @@ class Experiment:
 
 @dataclass(eq=False)
 class RunMatrix:
-    """Runs and verdicts of a result folder by configuration and experiment."""
+    """Runs and verdicts of a result folder by configuration and scenario, replay or study."""
 
     records: Records
     requirements: Requirements
@@ -81,7 +81,7 @@ class RunMatrix:
     def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """Arrange a folder's runs by configuration and experiment; judge each cell.
+        """Arrange a folder's runs by configuration and scenario or replay; judge each one.
 
         studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
@@ -121,30 +121,30 @@ class RunMatrix:
 
     @property
     def references(self) -> list[Configuration]:
-        """Configuration by which each solver is judged."""
+        """Configuration of each solver on which the verdict on the solver rests."""
         judged = [verdict.configuration for verdict in self.verdicts.references]
         first = first_by(self.configurations, lambda configuration: configuration.solver)
         return judged or list(first.values())
 
     @property
     def levels(self) -> list[str]:
-        """Settings levels that were run outside studies, the most usual first."""
+        """Names of the solver settings run outside studies, the most usual first."""
         run = [self.configurations[c] for c, p in self.runs if not self.experiments[p].study]
         return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
 
     @property
     def judged_experiments(self) -> list[int]:
-        """Indices of the experiments that enter verdicts: all but studies."""
+        """Indices of the scenarios and replays that enter verdicts: all but studies."""
         return [p for p, experiment in enumerate(self.experiments) if not experiment.study]
 
     @cached_property
     def first_runs(self) -> dict[int, RunRecord]:
-        """First run of each experiment, by its index."""
+        """First run of each scenario, replay or study realisation, by its index."""
         keys = first_by(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
     def scenario(self, run: RunRecord) -> Scenario | None:
-        """Return the scenario of a run, in a study with its sea; None without one."""
+        """Return the scenario of a run, for a study with the run's own sea; None without one."""
         if not run.study:
             return self.records.scenario(run.scenario)
         experiment = Experiment.of(run)
@@ -154,7 +154,7 @@ class RunMatrix:
         return self._seas[experiment]
 
     def state(self, c: int, p: int) -> str:
-        """Return the verdict on configuration `c` in experiment `p` alone.
+        """Return the verdict on configuration `c` in scenario or replay `p` alone.
 
         On a slower computer the ship has to be held, too, or the answers were late.
         """
@@ -169,7 +169,7 @@ class RunMatrix:
         return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
     def timed_experiment_index(self, verdict: Verdict) -> int | None:
-        """Return the index of the replay behind a verdict's p99; None without one."""
+        """Return the index of the replay on which a verdict's times rest; None without one."""
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
@@ -180,11 +180,11 @@ class RunMatrix:
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
 
     def margin(self, configuration: Configuration) -> SpeedMargin | None:
-        """Return a configuration's speed margin; None where it was not timed."""
+        """Return how much slower a computer may be for a configuration; None if not timed."""
         return speed_margins(self.records, self.requirements).get(configuration)
 
     def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, bool]:
-        """Count a configuration's infeasible steps; return if all were reported as such."""
+        """Count a configuration's infeasible QPs; return if the solver reported all of them."""
         judged = self._judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
@@ -192,7 +192,7 @@ class RunMatrix:
         return steps, all(run.true_share == 1.0 for run in known)
 
     def _judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
-        """Return a configuration's runs that enter verdicts, with their experiments."""
+        """Return a configuration's runs that enter verdicts, with their scenario or replay."""
         c = self.index(configuration)
         known = [(self.experiments[p], run) for (at, p), run in self.runs.items() if at == c]
         return [one for one in known if one[0].units == "scaled" and not one[0].study]
@@ -204,5 +204,5 @@ class RunMatrix:
 
 
 def common_configuration(run: RunRecord) -> Configuration:
-    """Return the configuration of a run in the common units and formulation."""
+    """Return a run's solver configuration, as if in scaled units and the common QP form."""
     return replace(run.configuration.in_common_formulation, units="scaled")

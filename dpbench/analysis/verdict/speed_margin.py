@@ -54,7 +54,7 @@ class SpeedMargin:
 
     @property
     def factor(self) -> float:
-        """Slow-down factor up to which times stay within deadline and p99 limit."""
+        """Factor by which a computer may be slower with p99 and deadline still kept."""
         return min(self.deadline, self.p99_limit)
 
 
@@ -62,7 +62,7 @@ class SpeedMargin:
 def speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Compute the speed margin of every timed configuration."""
+    """Compute, for each timed configuration, how much slower a computer may be."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
     of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
@@ -87,7 +87,7 @@ def speed_margins(
 def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
-    """Find each run's step of the largest time, and the one at its p99."""
+    """Find each run's step of largest time, and the one whose time is the run's p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
@@ -108,7 +108,7 @@ def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
 
 
 def largest_stall_ns(records: Records) -> float:
-    """Return the longest stall in calibration runs [ns]; NaN without any."""
+    """Return the longest delay by the machine in runs of the test solvers [ns]; or NaN."""
     arms = [run for run in records.calibration if run.mode == "replay"]
     delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]

@@ -34,7 +34,7 @@ one: two clocks that are read in turn differ by some 25 µs a round."""
 def late_timing_evidence(
     records: Records, requirements: Requirements
 ) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
-    """Return a folder's late timings by run id, and the uncertainty of its step times."""
+    """Return a folder's solver calls that took too long, by run, and the times' uncertainty."""
     uncertainty = estimate_uncertainty(records)
     return find_late_timings(records, requirements, uncertainty), uncertainty
 
@@ -42,7 +42,7 @@ def late_timing_evidence(
 def find_slow_loops(
     runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
-    """Find closed loops whose median timing is near or beyond the p99 limit.
+    """Find closed loops whose median solve time is near or beyond the limit on the p99.
 
     The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
     limit by more than its uncertainty, and borderline within that.
@@ -67,7 +67,7 @@ def find_slow_loops(
 
 
 def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs whose other threads took more processor time than the timed calls.
+    """Find runs whose solver computed more in other threads than in the timed calls.
 
     A worker has one core, so what exceeds the timed calls was done outside of them. Of a window the
     few steps that are solved before each round without a record would count.
@@ -93,7 +93,7 @@ _DOUBTFUL: Mapping[str, Doubt] = {
 def report_late_timings(
     runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
 ) -> list[Finding]:
-    """Turn late timings of runs into findings, the worst run of each kind first."""
+    """Convert late timings of runs to findings for a verdict, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
     by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(
         found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
@@ -112,7 +112,7 @@ def judge_times(
     requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Judge replays' step times by the requirements; return findings and figures."""
+    """Judge replays' step times by the limits; return findings, and percentiles by name."""
     findings: list[Finding] = []
     figures: list[_ReplayTimes] = []
     for run in replays:
@@ -147,7 +147,7 @@ def judge_times(
 
 
 def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
-    """Return the p99 of a replay's algorithmic step times [ns]; NaN for too few steps.
+    """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
     A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
     slower than its p99, and those are in the window.
@@ -182,7 +182,7 @@ class _ReplayTimes:
 def _check_limits(
     figures: _ReplayTimes, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Compare a replay's times with p99 limit and deadline, within their uncertainty."""
+    """Compare a replay's times with p99 limit and deadline; return findings if late or near."""
     run, findings = (figures.run,), list[Finding]()
     if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))

@@ -20,7 +20,7 @@ UNKNOWN = 1.5
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Factors within which step times of a campaign are uncertain.
+    """Factors within which step times are uncertain, by configuration.
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
@@ -44,7 +44,7 @@ class Uncertainty:
 
 
 def estimate_uncertainty(records: Records) -> Uncertainty:
-    """Estimate the uncertainty of step times from the spread between rounds."""
+    """Estimate the uncertainty factors of step times from the spread between repetitions."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):
         times = records.times(run)
@@ -60,5 +60,5 @@ def estimate_uncertainty(records: Records) -> Uncertainty:
 
 
 def factor_quantile(factors: Iterable[float]) -> float:
-    """Return the 95 % quantile of the configurations' uncertainty factors."""
+    """Return the 95 % quantile of some factors, as of the configurations' uncertainty."""
     return float(np.quantile(list(factors), QUANTILE))

@@ -36,7 +36,7 @@ from dpbench.solvers.record import POLICIES
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on one configuration: its state, the reasons, times and errors.
+    """Verdict on one solver configuration, from pass to fail: reasons, step times, errors.
 
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
@@ -78,17 +78,17 @@ class Verdict:
 
     @property
     def p99_on(self) -> str:
-        """Name of the sequence with the largest p99; "" where nothing was timed."""
+        """Name of the QP sequence with the largest p99 step time; "" if nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
     def is_rankable(self) -> bool:
-        """True if the configuration was timed and nothing speaks against it."""
+        """True if the configuration was timed and no fault, doubt or missing run is known."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Findings that keep it from passing: doubts, near limits, gaps, runs not made."""
+        """Reasons why a configuration does not pass: doubts, times near a limit, missing runs."""
         no_loop = () if self.loops else (Finding("no closed loop"),)
         no_replay = () if self.replays or self.windows else (Finding("no replay"),)
         return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
@@ -115,7 +115,7 @@ class Verdicts:
 def judge_solvers(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """Judge all configurations of all solvers by the requirements, in suite order.
+    """Judge all solver configurations by accuracy and time limits, in suite order.
 
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
@@ -135,7 +135,7 @@ def judge_solvers(
 
 
 def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Return the longest run of each scenario and of each replay."""
+    """Return the longest run of each scenario and of each replayed QP sequence."""
     alike = group_by(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
@@ -160,7 +160,7 @@ def judge_configuration(
     asked: Sequence[RunRecord],
     requirements: Requirements,
 ) -> Verdict:
-    """Judge one configuration by its runs and the requirements.
+    """Judge one configuration by its runs and the limits on accuracy and time.
 
     runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
@@ -198,7 +198,7 @@ def judge_configuration(
 def _overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
 ) -> State:
-    """Return the verdict that follows from causes, doubts and times near a limit."""
+    """Return the verdict, pass to fail, that faults, doubts and times near a limit lead to."""
     if causes:
         return "late" if all(cause.kind in LATE for cause in causes) else "fail"
     if doubts or modes < 2:
@@ -207,7 +207,7 @@ def _overall_state(
 
 
 def outcome_cause(run: RunRecord) -> str:
-    """Return why a run ended as it did, in the library's or the harness's words."""
+    """Return why a run ended as it did, in words of the solver library or benchmark."""
     return run.cause or "no reason was recorded"
 
 
@@ -217,13 +217,13 @@ def _count_or_zero(count: float) -> int:
 
 
 def _count_judged_steps(run: RunRecord) -> int:
-    """Return how many steps of a run have an answer that was judged."""
+    """Return how many steps of a run have an answer whose accuracy was judged."""
     without = _count_or_zero(run.uncertified) + _count_or_zero(run.undecided_steps)
     return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
 
 
 def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs of the solver's reference that a configuration lacks or cut short."""
+    """Find the reference configuration's runs that another configuration lacks or cut short."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []

@@ -27,7 +27,7 @@ _CLEAR_MPS = 1.8
 
 
 def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest wind held by direction, a line per failure case.
+    """Draw the largest wind a ship can hold by direction, a polar curve per failure case.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
@@ -74,7 +74,7 @@ Place = dict[str, Any]
 
 
 def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
-    """Draw the wind held by direction as points, hollow where claims are untrue."""
+    """Draw largest winds held by direction as points, hollow where solvers claim falsely."""
     tooltips = [
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),
@@ -97,26 +97,26 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
 
 
 def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
-    """Return x and y of a wind speed from a direction [°]; ahead is up."""
+    """Return x and y in the chart of a wind speed from a direction [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 
 
 def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
-    """Return a failure case's rows with the first one again at the end."""
+    """Return a failure case's winds by direction as a closed curve, its first row last again."""
     ring = pd.concat([case, case.iloc[:1]])
     places = _coordinates(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
     return ring.assign(**places, i=range(len(ring)))
 
 
 def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
-    """Draw rings or spokes of the rose as thin lines."""
+    """Draw the grid of the polar wind chart, rings or spokes, as thin lines."""
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
 
 def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
-    """Draw the DP capability number of each ring where it is not covered."""
+    """Draw the DP capability number at each wind ring of the polar chart, off the curves."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
@@ -126,7 +126,7 @@ def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
 
 
 def _find_clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
-    """Return the direction [°] in which each ring (R,) is named, off the curves."""
+    """Return the direction [°] in which each wind ring (R,) is labelled, clear of the curves."""
     held = np.array(
         [
             np.interp(_BETWEEN_DEG, case["from_deg"], case["wind_mps"], period=360.0)
@@ -151,7 +151,7 @@ _LOOKS = {
 
 
 def draw_answer_shares(table: pd.DataFrame, title: str) -> Any:
-    """Draw the share of each solver's answers to QPs at the edge, by kind.
+    """Draw, for each solver, the share of right, wrong and missing answers to capability QPs.
 
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
@@ -178,7 +178,7 @@ _NAMED = 0.45
 
 
 def draw_loss_spans(table: pd.DataFrame, title: str) -> Any:
-    """Draw a bar over time for each failure group: when its loss can be held.
+    """Draw when the ship can hold position after losing thrusters, a time bar for each loss.
 
     table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
     """
@@ -213,7 +213,7 @@ _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
 
 
 def draw_sample_shares(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest share of a sample that each solver takes for a batch of QPs.
+    """Draw the largest share of a control sample that each solver takes for a batch of QPs.
 
     table : columns name, percent and right, in the order of the marks.
     """

@@ -18,7 +18,7 @@ def draw_lines(
     *,
     limit: float | None = None,
 ) -> Any:
-    """Draw a line per configuration on logarithmic axes; hollow points are not good.
+    """Draw y over x, a line per solver configuration, log axes; hollow points are not good.
 
     table : columns `COLUMNS`, x and y positive.
     x, y : title and format of each axis; limit : drawn across.
@@ -46,7 +46,7 @@ def draw_lines(
 
 
 def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Draw measured against requested values, with the line on which both are equal.
+    """Draw measured over requested values as dots, with the line on which both are equal.
 
     table : columns name, x and y, all positive.
     """
@@ -65,7 +65,7 @@ def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
 
 
 def draw_count_tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Draw counts by two keys as tiles with the number in each."""
+    """Draw a table of counts by two keys as tiles, with the number in each."""
     columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
     above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(

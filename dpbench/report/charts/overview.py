@@ -29,7 +29,7 @@ _HEADER = alt.Header(
 
 
 def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
-    """Draw a tile of the verdict for every solver, experiment and settings level.
+    """Draw a tile with the verdict for each solver, scenario or replay, and settings.
 
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
     `usermeta` has `tall`.
@@ -109,7 +109,7 @@ _FIGURES = (
 
 
 def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
-    """Draw the step time against the largest error, a line joining a solver's settings.
+    """Draw largest error over step time, with a line through the points of a solver's settings.
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
@@ -175,7 +175,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
 
 def _draw_opacity_legend() -> Any:
-    """Draw the legend of filled points from invisible ones."""
+    """Draw the legend that tells which verdict a point's fill stands for."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
@@ -194,7 +194,7 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 
 
 def _verdict_expression() -> str:
-    """Return the Vega expression of the verdict on a slower computer."""
+    """Return the Vega expression of a solver's verdict on a slower computer: late or as before."""
     good = " || ".join(
         f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
     )
@@ -225,7 +225,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 
 
 def _scale_rows(table: pd.DataFrame) -> alt.Chart:
-    """Return the chart base with a row per solver, times multiplied by the slow-down."""
+    """Return the base of the deadline chart: a row per solver, times scaled by the slow-down."""
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
@@ -252,7 +252,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
 
 
 def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
-    """Return a logarithmic time axis to ten times the deadline or the slowest time."""
+    """Return a logarithmic time axis up to ten times the deadline, or beyond the slowest."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
     high = max(10.0 * deadline_ms, 1.0)
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
@@ -269,7 +269,7 @@ def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
 
 
 def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
-    """Draw a row's area that takes clicks, and the mark of the chosen row."""
+    """Draw, in each row of the deadline chart, an area that takes clicks and a mark if chosen."""
     pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
     clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0)
@@ -278,7 +278,7 @@ def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
 
 
 def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """Draw the call overhead, whisker, line, bar and marker of each solver."""
+    """Draw each solver's call overhead, p50 marker, p99 bar, line to hardest step, and whisker."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
@@ -297,7 +297,7 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """Draw the deadline and the p99 limit with their names."""
+    """Draw the deadline and the p99 limit as vertical lines with their names."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

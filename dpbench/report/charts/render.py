@@ -25,7 +25,7 @@ _NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])
 
 
 class _ChartKey:
-    """Cache key that compares and hashes a chart by identity."""
+    """Cache key by which two charts are equal only if they are the same object."""
 
     def __init__(self, chart: Any) -> None:
         self.chart = chart
@@ -38,13 +38,13 @@ class _ChartKey:
 
 
 def compile_vega(chart: Any) -> dict[str, Any]:
-    """Compile a chart to Vega without its title."""
+    """Compile an Altair chart to a Vega specification without its title."""
     compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def render_svg(chart: Any, *, titled: bool = True) -> str:
-    """Render a chart as SVG, with real text."""
+    """Render a chart as SVG, with text as text instead of outlines."""
     return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(compile_vega(chart)))
 
 
@@ -60,7 +60,7 @@ NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (
 
 @cache
 def can_draw() -> bool:
-    """Return whether the chart renderer has enough address space."""
+    """Return whether the process may use enough memory (address space) to render charts."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return True
@@ -74,7 +74,7 @@ _svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
 @lru_cache(maxsize=64)
 def _compile_chart(chart: _ChartKey) -> str:
-    """Compile a chart to Vega JSON, with labels that avoid each other."""
+    """Compile an Altair chart to Vega JSON, with labels that avoid each other."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
     # The tests validate every figure against the grammar, which takes longer than drawing it.
@@ -127,7 +127,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
 
 
 def save_figure(chart: Any, path: Path) -> Path:
-    """Write a chart to a file, in the format of its ending."""
+    """Write a chart to a file, in the format of the file name's ending."""
     write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 

@@ -26,7 +26,7 @@ MOST_TOGETHER = 4800
 
 
 def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the ship's path in the north-east plane with the 1 m circle (Figure 4)."""
+    """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
     tables = []
     for law in laws:
         thin = law.steps.iloc[:: len(law.steps) // _points_per_run(laws) + 1]
@@ -57,7 +57,7 @@ def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the north, east, heading and radial error over time (Figure 5)."""
+    """Draw north, east, heading and radial error over time under each control law (Figure 5)."""
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _law_time_series(
@@ -76,13 +76,13 @@ def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def draw_forces(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the applied force in each axis with its limits (Figure 6)."""
+    """Draw the applied force in each axis over time, with its limits (Figure 6)."""
     panels = _draw_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
     return style.set_style(panels, "Forces", "Force applied in each axis, with its limits.")
 
 
 def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the change of force in each step with the rate limits (Figure 7)."""
+    """Draw the change of force in each step over time, with the rate limits (Figure 7)."""
     most = scenario.force_step_max
     panels = _draw_axes(laws, "dtau", "Δ", -most, most)
     about = "Change of the force in each step, with its limits."
@@ -90,7 +90,7 @@ def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
-    """Draw a panel of force or increment for each axis, with limits (3,)."""
+    """Draw force or force change over time for surge, sway and yaw, with their limits (3,)."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         title = f"{sign}{name} [{shown}]"
@@ -125,7 +125,7 @@ def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
 
 
 def _points_per_run(laws: Sequence[Law]) -> int:
-    """Return how many points of each run a figure draws."""
+    """Return how many points of each run a chart of several runs may draw."""
     return min(MOST, MOST_TOGETHER // len(laws))
 
 
@@ -160,19 +160,19 @@ def _stack_panels(panels: Sequence[Any]) -> Any:
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
-    """Return the colour channel by control law."""
+    """Return the chart's colour encoding by control law."""
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
-    """Return the line dash channel by control law."""
+    """Return the chart's line dash encoding by control law."""
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)
 
 
 def _equal_axes(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
-    """Return east and north axes of equal scale around all points."""
+    """Return the chart's east and north axes with equal scales, around all points."""
     middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
     half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
 

@@ -15,7 +15,7 @@ _WIDTH = 620
 
 
 def draw_step_strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
-    """Draw time, error, iterations and forces of one run over its steps.
+    """Draw one run's solve time, error, iterations and forces, over its steps.
 
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
@@ -44,19 +44,19 @@ def draw_step_strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_lim
 
 
 def _named_chart(name: str, table: pd.DataFrame) -> alt.Chart:
-    """Return a chart of rows under a name, by which the page's script replaces them."""
+    """Return a chart of a table under a name, by which the page's script replaces the rows."""
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return style.inline_chart(*({str(k): v for k, v in row.items()} for row in rows), name=name)
 
 
 def _step_axis(*, last: bool = False) -> alt.X:
-    """Return the axis of step k, with labels on the last panel only."""
+    """Return the chart's axis of step index k, with labels on the last panel only."""
     axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
 
 def _draw_step_times(steps: alt.Chart) -> list[Any]:
-    """Draw the time of each step, with a line to its largest timing."""
+    """Draw the solve time of each step, with a line up to its largest timing."""
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tooltip("raw:N", "largest timing [µs]")
@@ -69,7 +69,7 @@ def _draw_step_times(steps: alt.Chart) -> list[Any]:
 
 
 def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
-    """Draw the error of the first move at each step, with its limit."""
+    """Draw the error of the first control move at each step, with its limit."""
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -84,7 +84,7 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
 
 
 def _draw_iterations(steps: alt.Chart) -> list[Any]:
-    """Draw iterations and active limits at each step."""
+    """Draw the solver's iterations and the active limits at each step."""
     base = steps.encode(tooltip=["k:Q", "iterations:Q", "active:Q"])
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))

@@ -17,7 +17,7 @@ _CHOSEN = "datum.chosen"
 
 
 def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Draw the share of seas held over two keys, a map per configuration.
+    """Draw the share of seas with position held over two parameters, a map per configuration.
 
     table : columns configuration, x, y, held and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
@@ -46,7 +46,7 @@ def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bo
 
 
 def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Draw the share of seas held over one key, a line per configuration."""
+    """Draw the share of seas with position held over one parameter, a line per configuration."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
@@ -59,7 +59,7 @@ def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
 
 
 def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """Draw each configuration's excess error: a dot per sea, mean and interval.
+    """Draw each solver's position error over the reference: dot per sea, mean, interval.
 
     table : name and `mean_cm`, in the order of the rows.
     seas : name, error_excess_cm, point, replicate.
@@ -91,7 +91,7 @@ _MEAN_TIPS = (
 
 
 def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """Draw the mean excess errors and their intervals."""
+    """Draw mean position errors over the reference solver's, as points with intervals."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"
@@ -100,13 +100,13 @@ def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
 
 
 def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    """Draw a band over the differences that are too small to matter."""
+    """Draw a vertical band over the error differences that are too small to matter."""
     ends = style.inline_chart({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
 
 def draw_study_points(*, tiles: bool) -> Any:
-    """Draw the points of a study by share of seas held, as tiles or at their values.
+    """Draw a study's parameter points coloured by share of seas with position held.
 
     The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
     """
@@ -138,7 +138,7 @@ def draw_study_points(*, tiles: bool) -> Any:
 
 
 def draw_point_errors(small_cm: float) -> Any:
-    """Draw the excess errors at a chosen point, and the means over all points.
+    """Draw solvers' position errors over the reference at one study point, and means over all.
 
     The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, error_excess_cm,
     replicate, chosen).
@@ -169,7 +169,7 @@ def draw_point_errors(small_cm: float) -> Any:
 
 
 def draw_point_seas() -> Any:
-    """Draw the largest radial error in each sea of a chosen point, with the reference.
+    """Draw the largest radial error in each sea of one study point, beside the reference's.
 
     The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """

@@ -33,25 +33,25 @@ NAMES = "names"
 
 
 def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
-    """Return a scale from names to colours, shapes or dashes."""
+    """Return a chart scale that maps names to colours, shapes or dashes."""
     return alt.Scale(domain=list(names), range=list(looks))
 
 
 def colour(
     field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
 ) -> alt.Color:
-    """Return a colour channel by name, with a legend below the figure."""
+    """Return a chart's colour encoding by name, with a legend below."""
     scale = names_scale(names, colours)
     return alt.Color(f"{field}:N", scale=scale, title=title, legend=legend_below(**legend))
 
 
 def pick_selection(*fields: str) -> alt.Parameter:
-    """Return the selection `pick`, which clicking sets to the fields of a mark."""
+    """Return the chart selection named `pick`, set by a click to the clicked mark's fields."""
     return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
 
 
 def narrow_flag() -> alt.Parameter:
-    """Return the chart parameter that the page sets where there is little room."""
+    """Return the chart parameter `narrow`, which the page sets on small screens."""
     return alt.param(name="narrow", value=False)
 
 
@@ -60,7 +60,7 @@ ROW_STEP = {"wide": 22, "narrow": 36}
 
 
 def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
-    """Return an axis with names beside the figure, or above each row where it is `narrow`.
+    """Return an axis with row names beside the chart, or above each row on a small screen.
 
     limit : of their length beside the figure [px].
     """
@@ -80,23 +80,23 @@ def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
 
 
 def log_scale(**options: Any) -> alt.Scale:
-    """Return a logarithmic scale."""
+    """Return a logarithmic chart scale."""
     return alt.Scale(type="log", **options)
 
 
 def legend_below(**options: Any) -> alt.Legend:
-    """Return a legend below its figure."""
+    """Return a chart legend placed below its chart."""
     return alt.Legend(orient="bottom", **options)
 
 
 def tooltip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
-    """Return a tooltip entry of a text (`:N`) or a number in so many digits."""
+    """Return a chart's tooltip entry: a text, or a number with so many significant digits."""
     form = alt.Undefined if field.endswith(":N") else f".{digits}~g"
     return alt.Tooltip(field, title=title, format=form)
 
 
 def value_if(test: Any, yes: object, no: object) -> Any:
-    """Return one value of a channel where a test holds, and else the other."""
+    """Return a chart encoding with one value where a test holds, and another elsewhere."""
     return alt.condition(test, alt.value(yes), alt.value(no))
 
 
@@ -106,25 +106,25 @@ def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
 
 
 def inline_chart(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
-    """Return a chart of a few values, or of a data set that the page fills."""
+    """Return a chart of a few given rows, or of a named table that the page fills."""
     return alt.Chart(alt.InlineData(values=list(values), name=name))
 
 
 def draw_limit_rule(limit: float, across: str = "y") -> Any:
-    """Draw a dashed line at a limit of the requirements."""
+    """Draw a dashed line at a limit on time or error."""
     rule = inline_chart({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 
 def draw_whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
-    """Draw a mark as high as the row over each whole row."""
+    """Draw, in each row of a chart, a bar over its whole width and height."""
     height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
     ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
 def draw_equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
-    """Draw the line on which both coordinates are equal."""
+    """Draw the line x = y in a chart that compares two quantities."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
     return inline_chart(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)

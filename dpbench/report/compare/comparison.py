@@ -49,7 +49,7 @@ STOPPED = "not comparable (stopped by a time limit)"
 
 
 def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
-    """Tabulate the verdict on each solver over all its configurations."""
+    """Tabulate whether each solver became slower, faster, worse or better from run A to B."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted(set(names)):
@@ -75,7 +75,7 @@ def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureCha
 
 
 def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
-    """Merge the verdicts on several configurations into one text."""
+    """Merge counts of verdicts on a solver's configurations into one verdict text."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
         return f"{claims[0]} and {claims[1]}"
@@ -90,7 +90,7 @@ def times_table(
     ordered: bool = False,
     reference: str = "",
 ) -> Table:
-    """Tabulate step times in both runs with their ratio and the verdict on it."""
+    """Tabulate step times in runs A and B, their ratio and the verdict on it."""
     machine = f"that ratio of {reference}, the reference"
     if not reference:
         machine = (
@@ -112,7 +112,7 @@ def times_table(
 
 
 def _time_row(compared: ComparedTimes) -> dict[str, str]:
-    """Return the times, ratio and verdict of a configuration as a table row."""
+    """Convert a compared step time to a table row: times in A and B, ratio, verdict."""
     timing, assessment = compared.timing, compared.assessment
     return {
         "configuration": timing.pair.label,
@@ -129,7 +129,7 @@ def _time_row(compared: ComparedTimes) -> dict[str, str]:
 
 
 def shared_line(shared: SharedFactor) -> str:
-    """State the change that all configurations of a sequence share, and its cause."""
+    """State the step time change that all configurations of a QP sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     wording = f"`{shared.sequence}`: step times of "
     wording += f"{plural(shared.configurations, 'configuration')} {moved} together "
@@ -146,7 +146,7 @@ def shared_line(shared: SharedFactor) -> str:
 
 
 def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
-    """Tabulate the figures of accuracy and control that changed; None where none did."""
+    """Tabulate the accuracy and control quantities that changed from run A to B; None if none."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None
@@ -163,14 +163,14 @@ def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | Non
 
 
 def change_line(answer: FigureChange) -> str:
-    """Describe a figure of accuracy or control in both runs, in one line."""
+    """Describe an accuracy or control quantity in both runs, in one line."""
     column = answer.measure.column
     values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
 def _change_row(answer: FigureChange) -> dict[str, str]:
-    """Return a figure of accuracy or control in both runs as a table row."""
+    """Convert a changed accuracy or control quantity to a table row: value in A and B, change."""
     column = answer.measure.column
     return {
         "configuration": answer.pair.label,
@@ -183,13 +183,13 @@ def _change_row(answer: FigureChange) -> dict[str, str]:
 
 
 def _range_text(column: str, values: Range) -> str:
-    """Format the range of a figure over rounds; one value where its ends print alike."""
+    """Format the range of an accuracy or control quantity; one value if both ends print alike."""
     texts = [_figure_text(column, value) for value in values]
     return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
 
 
 def _figure_text(column: str, value: float) -> str:
-    """Format a figure of accuracy or control by the kind of its column."""
+    """Format an accuracy or control value as its column needs: error, share, count or outcome."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
@@ -231,7 +231,7 @@ class Comparison:
         return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
 
     def _repr_html_(self) -> str:
-        """Return the comparison as HTML, for a notebook."""
+        """Return the comparison as HTML, which a notebook displays."""
         lines = table_html((), [(line,) for line in self.lines], title="Comparison")
         return lines + "".join(html_table(table) for table in self.tables)
 
@@ -251,11 +251,11 @@ class Comparison:
 
     @property
     def answers(self) -> pd.DataFrame:
-        """Table of accuracy and control: a row per configuration and figure."""
+        """Table of accuracy and control: a row per configuration and compared quantity."""
         return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
-        """Return the comparison as a Markdown document."""
+        """Return the comparison of two result folders as a Markdown document."""
         return markdown_document("Comparison", self.lines, self.tables)
 
 
@@ -307,7 +307,7 @@ def compare(
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[ComparedTimes], list[SharedFactor], list[str]]:
-    """Judge the step times of two folders; return verdicts and remarks."""
+    """Judge step time ratios between two folders; return verdicts, shared changes and remarks."""
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
@@ -326,7 +326,7 @@ def _compare_times(
 
 
 def _describe_machine(view: Records) -> str:
-    """Describe a folder's processor and how other load disturbed it."""
+    """Describe a result folder's processor, and how other programs disturbed its timing."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = total_disturbance(timed_runs(view))
     return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
@@ -338,7 +338,7 @@ def _summary_lines(
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
-    """Summarise a comparison in lines: cells, verdicts, changes, cells not compared."""
+    """Summarise a comparison in lines of text: runs compared, verdicts, changes, runs left out."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

@@ -53,7 +53,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
 
 
 def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any]:
-    """Draw the charts of step times in both runs; none without times."""
+    """Draw the charts that compare the step times of two runs, by name; none without times."""
     if not order:
         return {}
     table = ratio_table(order)
@@ -65,7 +65,7 @@ def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any
 
 
 def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:
-    """Return the table of times as the page shows it, without two columns."""
+    """Return the table of compared step times as on the page, without two wide columns."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
@@ -74,7 +74,7 @@ def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) ->
 
 
 def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
-    """Pack the compared step times and charts for the page's script, as base64."""
+    """Pack compared step times and charts as compressed base64 text for the page's script."""
     block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -98,7 +98,7 @@ def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Ta
 
 
 def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
-    """Pack the times of each step in both runs into a block of arrays."""
+    """Add the times of each step in runs A and B to the page's packed arrays; return indices."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
@@ -108,7 +108,7 @@ def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
 
 
 def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
-    """Return the URL fragment that selects each comparison on the page."""
+    """Return, for each compared configuration, the URL fragment that selects it on the page."""
     seen: dict[str, int] = {}
     addresses = []
     for one in order:
@@ -126,7 +126,7 @@ def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
 
 
 def lead_sentences(comparison: Comparison) -> list[str]:
-    """Summarise a comparison in sentences: step times, accuracy, shared changes."""
+    """Summarise a comparison of two runs in sentences: step times, accuracy, shared changes."""
     together = [
         strip_markdown(f"All together: {shared_line(shared)}.")
         for shared in comparison.shared
@@ -228,7 +228,7 @@ def draw_both_runs(table: pd.DataFrame) -> Any:
 
 
 def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
-    """Sort slower configurations first, the slowest in front, then faster ones, then by ratio."""
+    """Sort compared step times: slower first, then faster, then undecided, each by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
         compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
@@ -236,7 +236,7 @@ def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
 
 
 def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
-    """Tabulate the step time ratio of each comparison, the largest first."""
+    """Tabulate the step time ratio of runs B and A by configuration, the largest ratio first."""
     rows = [
         {
             "id": str(i),
@@ -255,7 +255,7 @@ def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
 
 
 def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
-    """Select the rows judged to differ, and those at both ends of a ratio table."""
+    """Select of a table of time ratios the rows judged to differ, and those at both ends."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)
     return table[judged | (place < ends) | (place >= len(table) - ends)]

@@ -56,7 +56,7 @@ class Releases:
     requirements: Requirements
 
     def markdown(self) -> str:
-        """Return the releases as a Markdown document."""
+        """Return the comparison of solver versions as a Markdown document."""
         return markdown_document(
             "Solvers over their releases", [*self.lead, *self.lines], self.tables
         )
@@ -96,7 +96,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
-    """Return the histories of the solvers with several versions, by solver."""
+    """Return the version histories of the solvers run in several versions, by solver."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
@@ -131,7 +131,7 @@ def _time_change_text(changed: Sequence[History]) -> str:
 
 
 def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
-    """List what limits the comparison: machines, reference, spread, cells left out."""
+    """List what limits a comparison of folders: machines, reference, scatter, runs left out."""
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
         f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
@@ -157,7 +157,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
 
 
 def _version_tables(histories: Histories) -> list[Table]:
-    """Tabulate times and errors by version, one table per solver that changed."""
+    """Tabulate times and errors by version, a table for each solver with several versions."""
     changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
@@ -189,7 +189,7 @@ BEFORE = ("to the one before", "load kernel")
 
 
 def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
-    """Return one table row per version of a solver: times, errors, counts."""
+    """Convert a solver's version history to table rows: times, errors, counts per version."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -215,12 +215,12 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
 
 
 def _format_count(value: float) -> str:
-    """Format a count per round, whole where it is in every round."""
+    """Format a count per repetition: whole if it is a whole number, else with one decimal."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
 def _format_time(value: float, histories: Histories) -> str:
-    """Format a time [ns], or a multiple of the reference solver's."""
+    """Format a step time [ns] with its unit, or as multiple of the reference solver's."""
     return significant(value) if histories.reference else time_text(value)
 
 
@@ -256,7 +256,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
 
 
 def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
-    """Draw p50, p99 and largest step time of each version, a panel per problem.
+    """Draw p50, p99 and largest step time of each solver version, a panel per problem.
 
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
@@ -270,7 +270,7 @@ def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
 
 
 def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """Draw the largest error of the first move of each version, with its limit.
+    """Draw the largest error of the first move of each solver version, with its limit.
 
     table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
@@ -289,7 +289,7 @@ def _value_axis(form: str) -> alt.Axis:
 
 
 def _version_rows_chart(table: pd.DataFrame) -> Any:
-    """Return the chart base with a row per solver version, coloured by age."""
+    """Return the base of a chart with a row per solver version, coloured newest or earlier."""
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
         color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
@@ -299,7 +299,7 @@ def _version_rows_chart(table: pd.DataFrame) -> Any:
 
 
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
-    """Layer charts into one panel per problem, below each other."""
+    """Lay charts over each other in one panel per problem, panels below each other."""
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)

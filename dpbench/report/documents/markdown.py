@@ -36,7 +36,7 @@ HEAD = (
 
 
 def report_markdown(report: Report) -> str:
-    """Return the report as a Markdown text of limited length."""
+    """Return the report as Markdown text of limited length: recommendation, table of solvers."""
     data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
     wording = []
@@ -59,13 +59,13 @@ def report_markdown(report: Report) -> str:
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
-    """Return a Markdown table with a row for each configuration; "" without one."""
+    """Return a Markdown table of verdict, times and errors by configuration; "" without one."""
     rows = solver_rows(data, verdicts)
     return markdown_table(HEAD, rows, 3) if rows else ""
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """Return each configuration's verdict, times and errors as text cells."""
+    """Return rows of text cells with each configuration's verdict, times and errors."""
     return [
         (
             verdict.configuration.solver,
@@ -86,7 +86,7 @@ def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, 
 
 
 def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
-    """Cut a text to whole lines within a limit; name the file that has the rest."""
+    """Cut a text to whole lines within a number of bytes; name the file with the rest."""
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
@@ -157,7 +157,7 @@ def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
-    """Return a Markdown table of a solver's worst steps, with other solvers' figures at them."""
+    """Return a Markdown table of a solver's worst steps, and other solvers' values there."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]
@@ -181,14 +181,14 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
 
 
 def _figure_text(measure: Measure, value: float) -> str:
-    """Format a time [ns], an error or a number of iterations by its measure."""
+    """Format a time [ns], an error or a number of iterations, whichever `measure` says."""
     if measure == "time":
         return time_text(value)
     return error_text(value) if measure == "error" else count_text(value)
 
 
 def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
-    """Describe each worst step and the command that exports it, for a terminal."""
+    """Describe a solver's worst steps with the commands that export their QPs, for a terminal."""
     return [
         (
             f"worst {step.measure}",

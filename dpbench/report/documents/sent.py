@@ -96,7 +96,7 @@ def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_passive_attribute(attribute: str, value: str) -> bool:
-    """Return whether an HTML attribute of this value runs and loads nothing."""
+    """Return whether a browser runs and loads nothing for an HTML attribute of this value."""
     if attribute in _VALUES:
         return _VALUES[attribute].fullmatch(value) is not None
     if _ATTRIBUTES.fullmatch(attribute) is None:
@@ -123,7 +123,7 @@ remarks = ""  # what a reader should know: power plan, other load, own build of 
 
 
 class Sender(BaseModel):
-    """Form in `sender.toml`: who ran the benchmark, when, how."""
+    """Form that goes with results sent to others: who ran the benchmark, when, how."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -159,7 +159,7 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
 
 
 def check_sent_folder(folder: Path) -> str:
-    """Check a result folder that others sent; return its description.
+    """Check a result folder that others sent; return a line that describes its contents.
 
     Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
     machine, or a page of other runs; InputError for the contents of `sender.toml`.
@@ -193,7 +193,7 @@ def _unknown_files(folder: Path) -> list[str]:
 
 
 def _files_to_send(folder: Path) -> list[str]:
-    """Return the names of the result files to send, page and form aside."""
+    """Return the names of the result files to send, without report page and sender's form."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
@@ -212,7 +212,7 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """Check that the page sent belongs to the files beside it and has no script."""
+    """Raise ResultsError unless the report page sent belongs to the files and has no script."""
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")

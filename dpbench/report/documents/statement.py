@@ -33,7 +33,7 @@ HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text with size, weight, gap above it and colour."""
+    """Line of text on the one-page statement: size, weight, gap above it, colour."""
 
     text: str
     size: float = 9.5
@@ -79,7 +79,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 def _format_lines(
     folder: Path, results: Results, data: PageData, chosen: Verdict
 ) -> Iterator[TextLine]:
-    """Yield the lines of the statement, styled and wrapped."""
+    """Yield the text lines of the statement on the recommended solver, styled and wrapped."""
     for line in _fill_statement(folder, results, data, chosen).splitlines():
         mark, _, text = line.partition(" ")
         if mark in _LOOKS:
@@ -89,7 +89,7 @@ def _format_lines(
 
 
 def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
-    """Fill the statement's template: solver, settings, ship, machine, hashes."""
+    """Return the text of the one-page statement: solver, settings, ship, machine, file hashes."""
     c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]

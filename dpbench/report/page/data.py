@@ -27,7 +27,7 @@ MOST_LOOPS = 400
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Select a study's runs for the page, the first realisation of all points first."""
+    """Select the study runs that the report page shows, the first sea of all points first."""
     solving = [run for run in runs if not run.is_baseline_law]
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
 
@@ -35,7 +35,7 @@ def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
 def study_document(
     study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
 ) -> dict[str, Any]:
-    """Return the points, configurations and runs of a study, for the page's script.
+    """Return a study's points, configurations and runs as JSON data for the page's script.
 
     runs : those that are shown, by run_id.
     number_of : number on the page of a configuration, by name.
@@ -71,14 +71,14 @@ def study_document(
 
 
 def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
-    """Choose the worst run of a study, with which a page opens; None without one."""
+    """Choose a study's worst run, which the report page shows when opened; None without one."""
     kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
     worst = worst_run(study, list(kept))
     return None if worst is None else kept[worst]
 
 
 def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
-    """Return a configuration's mean excess error with interval [cm], and share held."""
+    """Return a configuration's mean error over the reference [cm], interval, share of seas held."""
     (found,) = (c for c in study.configurations if c.name == name)
     known: dict[str, Any] = {"held": found.held, "pairs": 0}
     if found.error_excess_m is None or found.error_excess_m.pairs == 0:
@@ -93,13 +93,13 @@ def _round_values(values: Iterable[float]) -> list[float | None]:
 
 @dataclass(eq=False)
 class PageData(RunMatrix):
-    """Runs and verdicts by configuration and experiment, with packed steps."""
+    """Runs and verdicts for the report page, with steps packed into compressed arrays."""
 
     block: Block = field(default_factory=Block)
 
     @classmethod
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """Build the page's data from a folder's runs and verdicts."""
+        """Build the report page's data from a folder's runs and the verdicts on solvers."""
         return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
 
     @cached_property
@@ -109,14 +109,14 @@ class PageData(RunMatrix):
 
     @cached_property
     def study_documents(self) -> list[dict[str, Any]]:
-        """Points, configurations and runs of each study, for the page's script."""
+        """Points, configurations and runs of each study, as JSON data for the page's script."""
         runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
         numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
         return [study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Indices of configuration and experiment that a page on studies opens with."""
+        """Indices of configuration and study run that a page on studies shows first; or None."""
         if self.judged_experiments or not self.studies:
             return None
         run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
@@ -126,7 +126,7 @@ class PageData(RunMatrix):
 
     @cached_property
     def thinned_runs(self) -> dict[str, ThinnedRun]:
-        """Steps that the page has room for, of every run, by run id."""
+        """Steps of every run, thinned to what the report page has room for, by run id."""
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, ThinnedRun] = {}
@@ -144,7 +144,7 @@ class PageData(RunMatrix):
         return sum(not run.is_whole for run in self.thinned_runs.values())
 
     def cells(self) -> Iterator[dict[str, Any]]:
-        """Yield each run's figures, packed steps and hardest steps, for the page's script."""
+        """Yield each run's results, packed steps and hardest steps, for the page's script."""
         references: dict[int, Track] = {}
         hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
         # The run nearest to the exact loop comes first: the others' tracks refer to it.
@@ -161,7 +161,7 @@ class PageData(RunMatrix):
             yield entry
 
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
-        """Return a run's verdict, outcome and figures, for the page's script."""
+        """Return a run's verdict, outcome and main results, for the page's script."""
         return {
             "c": c,
             "p": p,
@@ -191,7 +191,7 @@ class PageData(RunMatrix):
 
 
 def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
-    """Return a run's hardest steps by each measure as lists of figures."""
+    """Return a run's steps of largest time, iterations and error as nested lists for JSON."""
     return [
         [
             [h.k, json_number(h.value), h.status, int(h.claimed), int(h.true), h.n_active]
@@ -210,6 +210,6 @@ def json_number(value: object) -> float | str | None:
 
 
 def columns_by_name(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Turn a list of rows (dictionaries) into columns."""
+    """Convert a list of rows (dictionaries) to lists of column values by name."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}

@@ -28,7 +28,7 @@ def page_document(
     recommendation: Recommendation,
     words: Mapping[int, GlossaryEntry],
 ) -> dict[str, Any]:
-    """Return all data of the page but the charts, for its scripts.
+    """Return the JSON data of the report page, all but its charts, for its scripts.
 
     Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
     """
@@ -84,7 +84,7 @@ def _describe_configuration(
 
 
 def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return a configuration's speed margin and the steps that limit it."""
+    """Return how much slower a computer may be for a configuration, and the limiting steps."""
     margin = data.margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
@@ -103,7 +103,7 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
 
 
 def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return a configuration's largest single timing [ns] and its experiment."""
+    """Return a configuration's largest single timing [ns], and in which scenario or replay."""
     experiment, run = data.longest_timing(c) or (None, None)
     if experiment is None or run is None:
         return {"longest": None, "longest_at": None}
@@ -114,7 +114,7 @@ def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
 def _opening_selection(
     data: PageData, results: Results, recommendation: Recommendation
 ) -> dict[str, Any]:
-    """Return the configurations, experiment and step that the page opens with."""
+    """Return the configurations, scenario and step that the report page opens with."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (
@@ -137,7 +137,7 @@ def _opening_selection(
 def _describe_experiments(
     data: PageData, words: Mapping[int, GlossaryEntry]
 ) -> list[dict[str, Any]]:
-    """Describe each experiment by its first run, for the page's script."""
+    """Describe each scenario, replay or study run by its first run, for the page's script."""
     shows = {p: {"shows": word.meaning} for p, word in words.items()}
     return [
         _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
@@ -148,7 +148,7 @@ def _describe_experiments(
 def _describe_experiment(
     data: PageData, experiment: Experiment, run: RunRecord | None
 ) -> dict[str, Any]:
-    """Describe an experiment for the page's script: label, mode, study, reference."""
+    """Describe a scenario, replay or study run for the page's script: label, mode, reference."""
     wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,

@@ -26,7 +26,7 @@ Charts = dict[str, Any]
 
 
 def _draw_ladder(data: PageData) -> Charts:
-    """Draw solver step times against the deadline; no chart without times."""
+    """Draw the chart of all solvers' step times against the deadline; none if not timed."""
     timed = time_table(data)
     if timed.empty:
         return {}
@@ -38,7 +38,7 @@ def _draw_ladder(data: PageData) -> Charts:
 
 
 def _draw_matrix(data: PageData) -> Charts:
-    """Draw the verdicts by solver and experiment, wide and for a narrow screen."""
+    """Draw verdicts by solver and scenario, as charts for wide and for narrow screens."""
     tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
@@ -57,7 +57,7 @@ MATRIX = (
 
 
 def _matrix_text(data: PageData) -> str:
-    """Explain the tiles of verdicts, and how many experiments are left out."""
+    """Explain the chart of verdicts by scenario in text, and how many scenarios it leaves out."""
     tiles = experiment_table(data)
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
@@ -71,7 +71,7 @@ def _matrix_text(data: PageData) -> str:
 
 
 def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
-    """State how many solvers fail in SI units with default settings."""
+    """State how many solvers fail on QPs in SI units (N and N·m) with default settings."""
     unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
     ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
     requested = ran[ran["settings"] == "default"]
@@ -100,18 +100,18 @@ def _draw_pairs(data: PageData) -> Charts:
 
 
 def _replayed_configurations(data: PageData) -> set[int]:
-    """Return the indices of the configurations that have a replay."""
+    """Return the indices of the solver configurations that have a replay."""
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
-    """Pack the half-width of the log time ratio of each two configurations."""
+    """Pack, for each two configurations, the half-width of their log time ratio's interval."""
     timed, widths = pair_half_widths(data)
     return {"paired": {"c": timed, "reach": data.block.add_log(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
-    """Draw the step time against the error of each settings level."""
+    """Draw the chart of largest error over step time, a point per solver and settings."""
     points = level_table(data)
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
@@ -150,12 +150,12 @@ SECTIONS = (
 
 
 def draw_section_charts(data: PageData) -> dict[str, Charts]:
-    """Draw the charts of each section of the page, by section id."""
+    """Draw the charts that follow the reader's selection, by section of the page and name."""
     return {section.id: section.charts(data) for section in SECTIONS}
 
 
 def select_static_charts(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
-    """Return the charts that are on the page before any script has run."""
+    """Select the charts that the page shows before any script has run, by name."""
     return {
         name: charts[section.id][name]
         for section in SECTIONS

@@ -55,11 +55,11 @@ class Block:
         self._size = 0
 
     def add_log(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add positive numbers of many decades as uint16 logarithms; return their index."""
+        """Add positive numbers of many decades as uint16 logarithms; return the array's index."""
         return self._add_array("log", log_codes(values), 1.0, places)
 
     def add_linear(self, values: ArrayLike, scale: float) -> int:
-        """Add numbers as int16 multiples of `scale`; return the index of the array."""
+        """Add an array of numbers as int16 multiples of `scale`; return its index."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
@@ -68,17 +68,17 @@ class Block:
         )
 
     def add_count(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add whole numbers up to 65534, NaN if missing; return the index of the array."""
+        """Add an array of whole numbers up to 65534, NaN if missing; return its index."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
         return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
     def add_flag(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add bytes of bit flags; return the index of the array."""
+        """Add an array of bytes of bit flags; return its index."""
         return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
     def add_place(self, values: ArrayLike, length: int) -> int:
-        """Add rising indices below `length`; ValueError if two are over 65535 apart."""
+        """Add rising indices below `length`, return the array's index; ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
@@ -87,7 +87,7 @@ class Block:
     def _add_array(
         self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None
     ) -> int:
-        """Append encoded values to the block; return the index of the array."""
+        """Append an encoded array to the block; return its index."""
         raw = _split_bytes(codes) if codes.dtype == np.uint16 else codes.tobytes()
         entry = [kind, self._size, len(codes), scale]
         self._entries.append(entry if places is None else [*entry, places])
@@ -96,7 +96,7 @@ class Block:
         return len(self._entries) - 1
 
     def text(self, document: dict[str, Any]) -> str:
-        """Return the compressed arrays with a JSON document, as base64."""
+        """Return the compressed arrays, together with a JSON document, as base64 text."""
         head = json.dumps(
             document | {"arrays": self._entries},
             separators=(",", ":"),
@@ -108,7 +108,7 @@ class Block:
 
 
 def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
-    """Encode positive numbers as uint16 logarithms; negative ones are missing."""
+    """Encode positive numbers as uint16 logarithms; negative ones and NaN count as missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.round(PER_DECADE * (np.log10(x) - np.log10(SMALLEST))) + 2
@@ -118,12 +118,12 @@ def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
 
 
 def _encode_differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the differences between neighbouring uint16 codes."""
+    """Return the differences between neighbouring elements of a uint16 array, which pack better."""
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
 def _split_bytes(codes: NDArray[np.uint16]) -> bytes:
-    """Return the low bytes of all codes, then their high bytes."""
+    """Return a uint16 array as bytes: the low bytes of all elements, then the high ones."""
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()
 
 
@@ -144,14 +144,14 @@ MOST_HARD = 15_000
 
 @dataclass(frozen=True)
 class Room:
-    """Number of steps and track points of each run that the page has room for."""
+    """Largest numbers of steps and of ship positions that the page has room for in each run."""
 
     steps: int
     points: int
 
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
-        """Share the room of the page among runs of these lengths; short ones stay whole."""
+        """Share the page's room among runs of given numbers of steps; short ones stay whole."""
         more = max(0, len(lengths) - MANY_RUNS)
         points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
         steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
@@ -159,7 +159,7 @@ class Room:
 
 
 def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
-    """Pack a run's step times, errors, iterations and flags into a block of arrays."""
+    """Add a run's step times, errors, iterations and flags to packed arrays; return indices."""
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
@@ -188,7 +188,7 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
-    """Pack a ship's positions and forces, as differences from a reference run."""
+    """Add a ship's positions and forces to packed arrays, as differences from a reference run."""
     position, force = track.position.copy(), track.force.copy()
     if reference is not None and reference.every == track.every:
         count = min(len(position), len(reference.position))

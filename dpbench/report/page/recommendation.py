@@ -48,7 +48,7 @@ MOST_INCONCLUSIVE = 2
 
 @dataclass(frozen=True)
 class Badge:
-    """Badge on the page: the verdict on the recommended solver in an experiment."""
+    """Badge on the report page: verdict on the recommended solver in a scenario or replay."""
 
     state_text: str
     mark: str
@@ -57,13 +57,13 @@ class Badge:
 
     @property
     def text(self) -> str:
-        """Text of the badge where there is no page."""
+        """Text of the badge for output other than the page: scenario and verdict."""
         return f"{self.name}: {self.state_text}" if self.name else self.state_text
 
 
 @dataclass(frozen=True, eq=False)
 class Recommendation:
-    """Headline of the page: solver to use, notes, badges, code to paste."""
+    """Headline of the report page: solver to use, notes, verdicts by scenario, code to paste."""
 
     sentence: str
     notes: tuple[tuple[str, str], ...]
@@ -87,7 +87,7 @@ class Recommendation:
 def build_recommendation(
     data: PageData, machine: Mapping[str, Any], baseline: str | None = None
 ) -> Recommendation:
-    """Build the headline of the page: solver, comparison, notes and code to paste.
+    """Build the report's headline: solver to use, one to compare, notes and code to paste.
 
     baseline : solver to compare with; by default a faster one, or the next.
 
@@ -136,14 +136,14 @@ def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
 
 
 def _infeasible_steps_text(data: PageData, c: Configuration) -> str:
-    """State how many steps had no solution, and if that was reported; "" for none."""
+    """State how many QPs had no solution, and if the solver reported that; "" for none."""
     steps, told = data.count_infeasible_steps(c)
     wording = ", and it said so" if told else ""
     return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
 def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
-    """Explain why no solver is recommended; "" where the suite asks for none."""
+    """Explain why no solver is recommended; "" if the results are not meant for a choice."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
         return strip_markdown(explain_no_recommendation(records, data.verdicts, found))
@@ -153,7 +153,7 @@ def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
 
 
 def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Yield the notes on the recommended solver, as keyword and text."""
+    """Yield notes on the recommended solver, as speed margin, as keyword and text."""
     chosen = found.chosen
     if chosen is None:
         return
@@ -193,7 +193,7 @@ def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[s
 
 
 def speed_margin_text(data: PageData, chosen: Verdict) -> str:
-    """State how much slower a computer may be, and the steps that limit it."""
+    """State how much slower a computer may be for a solver, and the steps that limit it."""
     margin, requirements = data.margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
@@ -222,7 +222,7 @@ def _slow_step_text(step: SlowStep) -> str:
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
-    """Build the badges of a configuration: its verdict in each experiment."""
+    """Build the badges of a configuration: its verdict in each scenario and replay."""
     if first is None:
         return []
     c = data.index(first)
@@ -250,7 +250,7 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
 
 
 def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
-    """State the verdicts in a solver's other call modes where one was not run."""
+    """State a solver's verdicts when called otherwise, if not run in the chosen way; or ""."""
     if (data.index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}
@@ -262,7 +262,7 @@ def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
 
 
 def python_call_text(c: Configuration) -> str:
-    """Return Python code that opens a solver configuration, with its settings."""
+    """Return Python code to paste that opens a solver with its interface and settings."""
     call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '

@@ -11,7 +11,7 @@ from dpbench.report.table import Table
 
 @dataclass(frozen=True)
 class Section:
-    """Part of the page that follows the reader's selection, with template and script.
+    """Part of the report page that follows the reader's selection: charts, data, text.
 
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those of them that are on the page before any script has run.
@@ -32,7 +32,7 @@ class Section:
 
     @property
     def template(self) -> str:
-        """File name of the section's template."""
+        """File name of the HTML template of this section of the page."""
         return f"{self.id}.html.j2"
 
 
@@ -65,5 +65,5 @@ class Topic:
 
     @property
     def name(self) -> str:
-        """Name of the topic in the page's row of links."""
+        """Name of this part of the page in the page's row of links."""
         return self.short or self.title

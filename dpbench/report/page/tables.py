@@ -50,7 +50,7 @@ MOST_ROWS = 3000
 
 
 def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
-    """Return the runs as columns of text and numbers, without empty columns."""
+    """Return the table of runs as columns for the page's script, without empty columns."""
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
@@ -96,7 +96,7 @@ def _column_label(name: str) -> dict[str, Any]:
 
 
 def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """Select the tiles of the experiments with the fewest passes, as room allows."""
+    """Select from the table of verdicts the scenarios with the fewest passes, as many as fit."""
     if len(tiles) <= MOST_TILES:
         return tiles
     experiments = tiles.groupby("experiment", sort=False)["verdict"]

@@ -59,7 +59,7 @@ def find_entry(term: str) -> GlossaryEntry:
 
 
 class Terms:
-    """Linker of terms in the page's texts to its glossary, once in each section.
+    """Converter of terms in the page's texts to links to its glossary, once per section.
 
     listed : terms of the list whether they are met or not, in its order.
     """
@@ -69,12 +69,12 @@ class Terms:
         self._here: set[str] = set()
 
     def section(self) -> str:
-        """Start a section, in which every term is linked anew; return ""."""
+        """Start a new section of the page, in which every term is linked again; return ""."""
         self._here.clear()
         return ""
 
     def __call__(self, text: str) -> Markup:
-        """Link the terms in a text."""
+        """Return a text as HTML, with its terms linked to the page's glossary."""
         parts, end = [], 0
         for found in _FOUND.finditer(text):
             phrase = found[0].lower()
@@ -85,20 +85,20 @@ class Terms:
         return Markup("").join([*parts, escape(text[end:])])
 
     def head(self, text: str) -> Markup:
-        """Link a table head to the glossary if it is a term, its unit aside."""
+        """Return a table head as HTML, linked to the glossary if it is a term."""
         term = re.sub(r" \[.*\]$", "", text)
         known = term in _OF_HEADS and term not in self._here
         return self._link_term(term, text) if known else escape(text)
 
     def _link_term(self, term: str, text: str) -> Markup:
-        """Return the link of a text to a term's entry; record that it was used."""
+        """Return a text as link to a term's glossary entry; record that the term was used."""
         self._here.add(term)
         self._listed[term] = None
         return self.link(find_entry(term), text)
 
     @staticmethod
     def link(word: GlossaryEntry, text: str) -> Markup:
-        """Return a link from a text to an entry of the page's glossary."""
+        """Return an HTML link from a text to an entry of the page's glossary."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )
@@ -113,7 +113,7 @@ MOST_EXPERIMENTS = 60
 
 
 def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
-    """Describe the scenario of each judged experiment, by experiment index."""
+    """Describe what happens in each scenario and replay that enters verdicts, by its index."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
@@ -130,7 +130,7 @@ def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
 
 
 def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -> str:
-    """Describe the scenario of an experiment in plain text, for the page."""
+    """Describe the scenario of a closed loop or replay in plain text, for the page."""
     scenario = data.scenario(run) if run.scenario else None
     if scenario is None:
         return ""
@@ -148,7 +148,7 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
 
 
 def _describe_replay(data: PageData, run: RunRecord) -> str:
-    """State the window of a replay, and the share of its steps with active limits."""
+    """State which steps of a closed loop are replayed, and the share with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.thinned_runs.get(run.run_id)

@@ -62,7 +62,7 @@ def page_html(
     *,
     light: bool = False,
 ) -> str:
-    """Return the page of a report as HTML, in one file without dependencies.
+    """Return the report page as HTML, in one file that needs no other.
 
     folder : where the files are that the page links to.
     charts : of `draw_section_charts`; topics : sections below those that follow the selection.
@@ -129,14 +129,14 @@ WORDS = (
 
 
 def use_page_colours(text: str) -> str:
-    """Replace the fixed colours of a figure by CSS variables of the page."""
+    """Replace the fixed colours in a chart's text by CSS variables of the page."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
 def _picture_address(chart: Any) -> str:
-    """Encode a figure as a `data:` address, in the colours of the page."""
+    """Encode a chart as a `data:` URL of an SVG picture in the colours of the page."""
     head, rest = use_page_colours(render_svg(chart)).split(">", 1)
     colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
@@ -176,7 +176,7 @@ def vega_specification(chart: Any) -> dict[str, Any]:
 
 
 def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
-    """Render a page from its template, with the common style and its scripts."""
+    """Render an HTML page from a named template, with the common style and scripts."""
     texts = [*map(read_script, vendored_scripts()), *scripts]
     shown |= {
         "css": Markup(read_page_file("templates/page.css")),
@@ -187,7 +187,7 @@ def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str
 
 @cache
 def template_environment() -> Environment:
-    """Return the Jinja environment of the page's templates."""
+    """Return the Jinja environment that loads the page's HTML templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),
         autoescape=True,

@@ -34,7 +34,7 @@ def build_topics(
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
 ) -> list[Topic]:
-    """Build the topics of a result folder, the question of its suite first.
+    """Build the report page's parts, one per question on the results, the suite's question first.
 
     designs, capability : of `load_designs` and `load_capability`.
     known : the studies of these records, if they are already read.
@@ -72,7 +72,7 @@ _CONTRASTS = ("formulations", "race", "routes", "levels")
 
 
 def _leading_topic(records: Records, topics: Sequence[str]) -> str:
-    """Return the id of the topic on the suite's question; "" for which solver to use."""
+    """Return the id of the page's part that answers the suite's question; or ""."""
     for name in ("worst-case", "conclusion"):
         if name in topics:
             return name
@@ -94,5 +94,5 @@ def _leading_topic(records: Records, topics: Sequence[str]) -> str:
 
 
 def _is_all_in_mode(records: Records, mode: str) -> bool:
-    """Return whether all runs are in one mode, replay or closed loop."""
+    """Return whether all runs of a result folder are in one mode, replay or closed loop."""
     return all(run.mode == mode for run in records.runs)

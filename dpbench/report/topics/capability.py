@@ -32,7 +32,7 @@ from dpbench.report.table import Table
 
 
 def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """Build the topic on capability plots of thrusters; None without a plot."""
+    """Build the report's part on largest winds held by thrusters; None without such results."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
@@ -50,7 +50,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
 
 
 def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
-    """State the least wind held over all directions, intact and after a failure."""
+    """State the least wind a ship can hold over all directions, intact and after a failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -63,13 +63,13 @@ def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _least_wind_text(edges: pd.DataFrame) -> str:
-    """Format the least wind held [m/s] and its direction."""
+    """Format the least wind held over all directions [m/s], and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
-    """Name the solvers right on all QPs at the edge, and those with untrue claims."""
+    """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.is_all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
     names = f": {and_list(right)}" if right else ""
@@ -87,7 +87,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
-    """Yield the figures of a capability plot: wind held, and the solvers' answers."""
+    """Yield the charts of a capability plot: largest winds held, and solvers' answers there."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -109,7 +109,7 @@ def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
 
 
 def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
-    """Yield the share and number of a solver's answers, by kind of answer."""
+    """Yield a solver's share [%] and number of right, wrong and missing answers."""
     counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.unanswered, WRONG: a.wrong}
     for answer, count in counts.items():
         yield a.solver, answer, 100.0 * count / a.asked, count
@@ -120,7 +120,7 @@ MOST_ROWS = 8
 
 
 def consequence_topic(records: Records) -> Topic | None:
-    """Build the topic on consequence analyses; None without one."""
+    """Build the report's part on whether thruster losses can be held; None without results."""
     analyses = consequence_analyses(records)
     if not analyses:
         return None
@@ -144,7 +144,7 @@ def consequence_topic(records: Records) -> Topic | None:
 
 
 def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
-    """Yield the figures of a consequence analysis: losses held, and solve times."""
+    """Yield the charts of a consequence analysis: losses that can be held, solve times."""
     yield Figure(
         f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
@@ -164,12 +164,12 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
 
 
 def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
-    """Return the name of a consequence analysis as part of a file name."""
+    """Return the name of a consequence analysis in a form fit for a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
 def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
-    """State which losses of thrusters can be held, and when."""
+    """State after which thruster losses the ship can hold position, and when."""
     wording: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
         wording.setdefault(_time_held_text(of_group), []).append(str(group))
@@ -178,7 +178,7 @@ def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
 
 
 def _time_held_text(of_group: pd.DataFrame) -> str:
-    """Describe when a loss can be held: throughout, until a time, or never."""
+    """Describe when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -194,7 +194,7 @@ def _time_held_text(of_group: pd.DataFrame) -> str:
 
 
 def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
-    """Name the configurations right on all QPs, the fastest, and missed alarms."""
+    """Name the solver configurations right on all QPs, the fastest one, and any missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.is_all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -212,14 +212,14 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
 
 
 def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
-    """Yield the table row of each solver's best configuration."""
+    """Yield a consequence analysis's table row for each solver's best configuration."""
     for solver, best in analysis.best.items():
         right = [answers.is_all_right for answers in analysis.answers if answers.solver == solver]
         yield consequence_row(best, right)
 
 
 def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
-    """Return a solver's row in the table of a consequence analysis."""
+    """Convert a configuration's answers on thruster losses to a table row."""
     return {
         "configuration": best.name,
         "p99 share": sample_share_text(best.p99),

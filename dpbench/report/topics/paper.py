@@ -39,7 +39,7 @@ DRAWN = (
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """Build the topic on the paper's figures and claims; None without its scenario."""
+    """Build the report's part on the paper's figures and claims; None without its runs."""
     laws, scenario = find_paper_runs(records), records.scenario(PAPER)
     judged = judge_claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
@@ -82,7 +82,7 @@ def count_reproduced(judged: Sequence[Claim]) -> str:
 
 
 def _stability_table(designs: Designs) -> Table:
-    """Tabulate each controller's spectral radius and the sway offset it holds."""
+    """Tabulate each controller's closed-loop spectral radius and the sway offset it holds."""
     return Table(
         (
             "controller",
@@ -104,7 +104,7 @@ def _stability_table(designs: Designs) -> Table:
 
 
 def _bracket_text(bracket: Bracket | None) -> str:
-    """Format the range between the largest offset held and the least not held [m]."""
+    """Format the largest sway offset a controller holds and the least it does not hold [m]."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -119,7 +119,7 @@ _WORDS = read_words(__file__)
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim of the paper, what was measured, and whether it is reproduced."""
+    """Claim of the paper: its text, what was measured here, and whether it is reproduced."""
 
     claim: str
     found: str
@@ -127,7 +127,7 @@ class Claim:
 
 
 def judge_claims(records: Records) -> list[Claim]:
-    """Judge all claims, in the order of the paper."""
+    """Judge all claims of the paper by the runs of a result folder, in the paper's order."""
     requested = [(text, assess_claim(records, where, by)) for text, where, by in _WORDS["claims"]]
     wording = _WORDS["found"]
     return [

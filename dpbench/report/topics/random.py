@@ -13,7 +13,7 @@ from dpbench.report.table import Table
 
 
 def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
-    """State the number of false claims of each solver, the most first."""
+    """State how many false claims of an optimum or infeasibility each solver made."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
     wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
@@ -21,7 +21,7 @@ def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
 
 
 def random_topic(records: Records) -> Topic | None:
-    """Build the topic on random QPs with known optima; None without one."""
+    """Build the report's part on random QPs with known optima; None without such runs."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None
@@ -53,7 +53,7 @@ def random_topic(records: Records) -> Topic | None:
 
 
 def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
-    """Return a solver's counts of true and false claims as a table row."""
+    """Convert a solver's counts of true and false claims to a table row."""
     return {
         "solver": solver,
         "steps": str(tally.steps),

@@ -36,7 +36,7 @@ from dpbench.report.verdict_text import answer_text
 
 
 def routes_topic(records: Records) -> Topic | None:
-    """Build the topic on call modes: cost of the wrapper, gain of a kept workspace."""
+    """Build the report's part on ways to call a solver: cost of a wrapper, gain of warm start."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
@@ -61,14 +61,14 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """Format a ratio with its 95 % interval, where it has one."""
+    """Format a time ratio with its 95 % interval, where it has one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
 def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the topic on QP formulations; None if no sequence was run in two."""
+    """Build the report's part on QP formulations; None if no QPs were solved in two."""
     tables = _median_tables(
         records,
         requirements,
@@ -86,7 +86,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the topic on settings levels; None where there is but one."""
+    """Build the report's part on solvers' tolerance settings; None if only one was run."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
     tables = _median_tables(
         records,
@@ -105,7 +105,7 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
-    """Name the solvers right on every step by default, and with other settings only."""
+    """Name the solvers right on every step with default settings, with others only, or never."""
     good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -121,7 +121,7 @@ def _right_levels_text(records: Records, requirements: Requirements) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Build the topic that compares two solvers step by step; None for other suites."""
+    """Build the report's part that compares two solvers step by step; None unless just two ran."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
@@ -150,7 +150,7 @@ def _median_tables(
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """Tabulate median step times by sequence, rows and columns by given keys."""
+    """Tabulate median step times, a table per QP sequence, with rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
     problems = group_by(replays, lambda run: (run.sequence, run.units))
@@ -169,7 +169,7 @@ def _median_tables(
 
 
 def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
-    """State how often each QP formulation is the fastest with right answers."""
+    """State how often each QP formulation is the fastest of those with right answers."""
     wins = count_fastest_forms(records, requirements)
     wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
@@ -179,7 +179,7 @@ def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
 
 
 def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
-    """Format the median step time of a replay, or its outcome without a step."""
+    """Format a replay's median step time, or how the replay ended if it has no step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
@@ -188,7 +188,7 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
 
 
 def worst_case_topic(records: Records) -> Topic | None:
-    """Build the topic on the worst step that a search found; None without a search."""
+    """Build the report's part on the worst step that a search found; None without a search."""
     requested = records.suite.get("report", {})
     k = requested.get("step")
     if k is None:
@@ -213,7 +213,7 @@ def worst_case_topic(records: Records) -> Topic | None:
 
 
 def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
-    """Return a configuration's time, iterations and error at one step, as text."""
+    """Convert a run's time, iterations and error at one step to a row of texts; or None."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
         return None
@@ -230,7 +230,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
 
 
 def _step_sentence(row: tuple[str, ...], k: int) -> str:
-    """State a configuration's time, iterations and error at one step."""
+    """State a run's time, iterations and error at one step in a sentence."""
     name, took, median, iterations, usual, error, answer = row
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     return (
@@ -240,7 +240,7 @@ def _step_sentence(row: tuple[str, ...], k: int) -> str:
 
 
 def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the topic on solvers in closed loop; None without a loop."""
+    """Build the report's part on solvers in closed loop; None without such runs."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
     by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
@@ -271,7 +271,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _control_columns(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Count a configuration's fallbacks; find its largest distance from the exact loop."""
+    """Return a configuration's number of fallbacks and largest distance from the exact loop."""
     fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
     off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
     worst = max(off, key=lambda run: run.dev_position_max_m, default=None)

@@ -23,7 +23,7 @@ from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """Build the topic on studies over many sea realisations; None without one."""
+    """Build the report's part on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(
@@ -36,7 +36,7 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
-    """Yield sentences on a study: runs, larger errors, share held, tolerances."""
+    """Yield sentences on a study: number of runs, larger errors, seas held, loosest tolerances."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -65,7 +65,7 @@ def _study_lines(study: Study) -> Iterator[str]:
 
 
 def _larger_errors_text(study: Study) -> str:
-    """Name the configurations with a significantly larger error than the reference."""
+    """Name the solvers with a significantly larger position error than the reference."""
     others = study.configurations[1:]
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean_excess_m(c))
     wording = [f"{c.name} by {significant(100.0 * _mean_excess_m(c), 2)} cm" for c in worse[:3]]
@@ -81,7 +81,7 @@ def _larger_errors_text(study: Study) -> str:
 
 
 def _share_with_bound(share: float, study: Study) -> str:
-    """Format a share in percent; of none or all with its 95 % bound, by the rule of three."""
+    """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound."""
     bound = 100 * upper_bound_of_none(study.realisations)
     wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
@@ -90,7 +90,7 @@ def _share_with_bound(share: float, study: Study) -> str:
 
 
 def _loosest_text(study: Study) -> str:
-    """State the loosest tolerance of each solver that costs next to nothing."""
+    """State each solver's loosest tolerance that adds next to no position error or cost."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -105,7 +105,7 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
-    """Yield the figures of a study: share of seas held, and excess errors."""
+    """Yield the charts of a study: share of seas held, position errors over the reference."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -134,7 +134,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
-    """Yield the tables of a study: its configurations, and its points."""
+    """Yield the tables of a study: results of its configurations, and its parameter points."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
@@ -154,7 +154,7 @@ def _study_tables(study: Study) -> Iterator[Table]:
 
 
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
-    """Return a studied configuration's table row: runs held, cost, excess error."""
+    """Convert a configuration's study results to a table row: runs held, cost, error."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     cost = configuration.cost
     row = {
@@ -173,7 +173,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
 
 
 def _difference_text(difference: PairedDifference, scale: float) -> str:
-    """Format a mean difference, scaled, with its interval."""
+    """Format a mean difference between configurations, times a scale, with its interval."""
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
@@ -185,5 +185,5 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
 
 
 def _mean_excess_m(configuration: StudiedConfiguration) -> float:
-    """Return a configuration's mean excess error [m]; 0 for the reference."""
+    """Return a configuration's mean position error over the reference's [m]; 0 for itself."""
     return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value

@@ -21,7 +21,7 @@ from dpbench.report.table import Table
 
 
 def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the topic on step time against horizon; None if it was not varied."""
+    """Build the report's part on step time over MPC horizon; None if it was not varied."""
     figures, tables = [], []
     all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
@@ -62,7 +62,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
-    """State the longest horizon in time, and its solvers, for each scenario."""
+    """State, for each scenario, the longest horizon solved in time, and by which solvers."""
     wording = []
     for sweep in all_sweeps:
         largest = {
@@ -86,12 +86,12 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
 
 
 def _judging_statistic(sweep: Sweep) -> str:
-    """Return what must be within the time limit: the p99, or each of few steps."""
+    """Name what must be within the time limit: "p99", or each step if there are few."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
 def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """Format a configuration's longest horizons within a time limit, `?` if in doubt."""
+    """Format a solver's longest horizons within a time limit, with `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
@@ -103,7 +103,7 @@ def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> s
 
 
 def slowdown_topic(records: Records) -> Topic | None:
-    """Build the topic on slower computers; None where none was simulated."""
+    """Build the report's part on simulated slower computers; None where none was simulated."""
     figures, tables = [], []
     groups = delayed_groups(records)
     for group in groups:
@@ -140,7 +140,7 @@ def slowdown_topic(records: Records) -> Topic | None:
 
 
 def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
-    """Return the largest slow-down that a configuration survives as a table row."""
+    """Convert a configuration's loops on slow computers to a table row: slow-down survived."""
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
@@ -152,7 +152,7 @@ def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
 
 
 def _survivors_text(group: DelayedGroup) -> str:
-    """State which configurations survive the largest slow-down."""
+    """State which solvers survive the largest slow-down of the computer in closed loop."""
     survivors = [c for c in group.configurations if c.survived_slowdown > 0]
     best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
     wording = ", ".join(best) if best else "nobody survives a slow-down"

@@ -46,7 +46,7 @@ LIKE = 0.01
 
 
 def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the topic on power and wear of thrusters by solver; None without any."""
+    """Build the report's part on thruster power and wear by solver; None without such runs."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
@@ -75,7 +75,7 @@ def _thruster_load_sentence(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
-    """State how long a thruster is at its limit, and how many solvers get that right."""
+    """State how long a thruster is at its limit, and how many solvers are right there."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -93,7 +93,7 @@ def _thruster_load_sentence(
 def wear_row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """Return a configuration's table row: loops right, power, wear, deviation."""
+    """Convert a solver's closed loops to a table row: loops right, power, wear, largest offset."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
@@ -108,7 +108,7 @@ def wear_row(
 
 
 def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
-    """Format the largest ratio of a metric to that of the best loop."""
+    """Format the largest ratio of a loop's metric, as wear, to that of the best loop."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
         return MISSING
@@ -116,7 +116,7 @@ def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: s
 
 
 def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
-    """Build the topic of conclusions for an operator, for a suite about thrusters."""
+    """Build the report's conclusions for an operator; None unless most loops command thrusters."""
     if not is_about_thrusters(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
@@ -133,7 +133,7 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
 
 
 def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) -> str:
-    """State which solver to use for thrusters, and its share of the deadline."""
+    """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
     share = sample_share_text(chosen.algo_max_ns / requirements.deadline_ns)
@@ -146,7 +146,7 @@ def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) 
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
-    """State which solvers pass with three forces but not with thrusters."""
+    """State which solvers pass if the MPC commands three forces, but not with thrusters."""
     before = commanded.passing_with_forces
     if not before:
         fine, run = len(commanded.passing), len(commanded.with_thrusters)
@@ -166,7 +166,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """List solvers with what they fail by, those of the same fault together."""
+    """List solvers that fail by fault, as late or wrong answers."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 
@@ -174,7 +174,7 @@ def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
 def _offset_after_loss_sentences(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
-    """State how far off the ship is after thrusters are lost."""
+    """State how far from its reference the ship stays after thrusters are lost."""
     if chosen is None:
         return
     for run in records.select(mode="closed_loop", units="scaled"):
@@ -190,7 +190,7 @@ def _offset_after_loss_sentences(
 
 
 def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
-    """State which further losses could be held, and which solvers report so."""
+    """State which further thruster losses could be held, and which solvers report so rightly."""
     analyses = consequence_analyses(records)
     if not analyses:
         return
@@ -215,7 +215,7 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
 
 
 def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
-    """Return a configuration's name among given names; "" where it is none of them."""
+    """Return the one of some names that means a configuration; "" where none does."""
     c = chosen.configuration
     level = "" if c.settings == "default" else f", {c.settings}"
     known = (
@@ -227,7 +227,7 @@ def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
 
 
 def _losses_at_end_text(analysis: ConsequenceAnalysis) -> str:
-    """State how many losses could be held at the end of a consequence analysis."""
+    """State how many thruster losses could be held at the end of a consequence analysis."""
     last = analysis.spans.groupby("group", sort=False).last()
     held = int((last["state"] == HELD).sum())
     count = {0: "none", len(last): "all"}.get(held, str(held))

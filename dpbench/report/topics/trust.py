@@ -32,7 +32,7 @@ COVERED = (
 
 
 def _round_spread_sentences(records: Records) -> list[str]:
-    """State by which ratio two times must differ, within a run and between runs."""
+    """State by which ratio two step times must differ, within a run and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
         return []
@@ -45,7 +45,7 @@ def _round_spread_sentences(records: Records) -> list[str]:
 
 
 def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
-    """State how well waits of known length were measured.
+    """State how exactly the benchmark measured waits of known length.
 
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
@@ -62,7 +62,7 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
 
 
 def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """State how far other load disturbed the machine while replays were timed."""
+    """State how far other programs disturbed the machine while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -84,7 +84,7 @@ def _unwatched_text(machine: Mapping[str, Any]) -> str:
 
 
 def trust_topic(records: Records) -> Topic | None:
-    """Build the topic on measurement quality; None where nothing was timed."""
+    """Build the report's part on how far its times can be trusted; None if nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
     disturbance = total_disturbance(timed)
     medians = calibration_medians(records.calibration)
