@@ -113,7 +113,7 @@ def _overshoot(error: Vector) -> float:
 
 
 def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
-    """Return ½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+    """Return the quadratic control cost of K steps: pose error, input change, thruster input."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
     problem = scenario.problem

@@ -131,7 +131,7 @@ class ReplayTable(RunsTable):
 
 
 class RandomTable(RunsTable):
-    """Random QPs of a suite, each with a planted optimum: families × sizes × seeds.
+    """Random QPs of a suite, built from a known optimum: each family, size and seed.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
@@ -199,7 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """Settings of the report of a suite: its baseline and the step it shows first."""
+    """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -259,7 +259,7 @@ class SuiteFile(FileModel):
 
     @classmethod
     def list_cell_tables(cls) -> list[str]:
-        """Return the names of the suite's tables that become cells."""
+        """Return the names of the suite's tables that become runs."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
