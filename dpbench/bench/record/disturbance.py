@@ -100,7 +100,7 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Figures of what disturbed some replays: slow rounds, context switches, steal time.
+    """Measures of what disturbed replays: slow rounds, context switches, time the host took.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Disturbance:
 
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
-        """Return the sum over several replays; a figure unknown in all of them is NaN."""
+        """Return the disturbances summed over several replays; a sum unknown in all is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())

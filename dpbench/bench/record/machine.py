@@ -46,7 +46,7 @@ def clock_read_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """Return the content of `machine.json`; `id` hashes what makes timings comparable.
+    """Return a description of this machine for `machine.json`; equal `id`: comparable times.
 
     That is CPU model, cores, memory, kernel release, Python and the libraries of every
     configuration; a solver's own version is part of each cell's key instead.
@@ -147,7 +147,7 @@ def installed_revision() -> Revision:
 
 
 def append_revision(earlier: list[Revision], now: Revision) -> list[Revision]:
-    """Return the revisions of earlier cells, followed by the current one."""
+    """Return the dpbench revisions of earlier runs, followed by the current one."""
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 

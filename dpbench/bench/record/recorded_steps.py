@@ -66,7 +66,7 @@ class StepsInMemory:
 
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
-        """First row of each run, and the row after its last, by run_id."""
+        """First row of each run in the table of steps, and the row after its last, by run_id."""
         return run_slices(self._frame["run_id"])
 
 
@@ -137,11 +137,11 @@ class StepsOnDisk:
 
     @cached_property
     def _groups_by_run(self) -> dict[str, int]:
-        """Index of the row group that holds each run, by run_id."""
+        """Index of the Parquet row group that holds each run's steps, by run_id."""
         return {name: group for group, places in enumerate(self._run_rows) for name in places}
 
     def _read_group_frame(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
-        """Return columns of one row group as a data frame."""
+        """Return columns of one row group of `steps.parquet` as a data frame."""
         return _to_frame(self._read_group(group, columns), columns)
 
     def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:

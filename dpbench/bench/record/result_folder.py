@@ -59,7 +59,7 @@ class ComparedMachine(TypedDict, total=False):
 
 @with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
-    """Content of `machine.json`; `others` are further machines of gathered cells."""
+    """Content of `machine.json`; `others` are further machines whose runs were joined."""
 
     id: Required[str]
     governor: str
@@ -86,7 +86,7 @@ class _Requirements(TypedDict, total=False):
 
 
 class _Report(TypedDict, total=False):
-    """Table `report` of `suite.json`: the baseline and the step that the report shows first."""
+    """Table `report` of `suite.json`: the solver to compare with, and the step shown first."""
 
     baseline: str | None
     step: int | None
@@ -269,7 +269,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
 
 
 def read_accidents(out: Path) -> tuple[int, list[str]]:
-    """Return the number of lost cells and designs, and the remarks, in `suite.json`."""
+    """Return the number of lost runs and stability studies, and the remarks, in `suite.json`."""
     suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]

@@ -54,13 +54,13 @@ class Backup:
         return self.log_answer(k, self.answer(k, step))
 
     def answer(self, k: int, step: QPStep) -> Solution:
-        """Return the answer to step k; a missing one where it hung in an earlier process."""
+        """Return the backup solver's answer to step k; none where it hung in an earlier process."""
         if k in self._hung:
             return self.solver.answer_hung_step(self._limit_ns)
         return self.solver.answer(step)
 
     def log_answer(self, k: int, answer: Solution) -> Matrix | None:
-        """Record the answer to step k; return its plan (N_c, n_u), None if unusable."""
+        """Record the backup's answer to step k; return its plan (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
@@ -105,7 +105,7 @@ class LoopWithBackup:
         return self._solver.prepare()
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Return the QP of step k for x (n_x,) and u_prev (n_u,)."""
+        """Return the MPC QP of step k for state x (n_x,) and previous input u_prev (n_u,)."""
         self._k = k
         return self._emit(k, x, u_prev)
 

@@ -106,14 +106,14 @@ class MemoryWatch:
         self._left = _read_status("VmRSS") - self._imported
 
     def record_setup(self) -> None:
-        """Note the memory after the solver's library is loaded, before QPs and log are."""
+        """Record memory use after the solver's library is loaded, before QPs and log are."""
         if isnan(self._imported):
             self._peak_of_import = _read_status("VmHWM") - self._at_birth
             self._imported = _read_status("VmRSS")
         self._harness = -_read_status("VmRSS")
 
     def record_load(self, log: RawLog) -> None:
-        """Note the memory after QPs and log are loaded, with the log's pages mapped."""
+        """Record memory use after QPs and log are loaded, with the log's pages mapped."""
         log.touch_pages()
         self._harness += _read_status("VmRSS")
 
@@ -157,7 +157,7 @@ def heap_bytes() -> float:
 
 
 def count_affordable_steps(log: RawLog) -> int:
-    """Return how many steps can be measured within `LIMIT_NS`, by the slowest one so far."""
+    """Return for how many steps memory can be measured within `LIMIT_NS`, by the slowest so far."""
     slowest = sum_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
