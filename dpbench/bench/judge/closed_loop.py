@@ -131,7 +131,7 @@ class StepEvaluator:
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
     def _evaluate_queue(self) -> None:
-        """Compute residuals, errors and truth of all queued answers to QPs of the same matrices."""
+        """Compute residuals, errors and correctness of all queued answers, of equal matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)

@@ -72,7 +72,7 @@ class HardestSource(QPSource):
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """Consequence-analysis QPs along the exactly solved loop: the failure group `group` lost."""
+    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`."""
 
     kind = "consequence"
     is_judged = False
@@ -123,7 +123,7 @@ SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KIND
 
 
 def parse_source(values: Mapping[str, Any]) -> QPSource:
-    """Return the QP source that a JSON object describes; InputError or ValidationError if bad."""
+    """Return the origin of a replay's QPs that a JSON object describes; an error if it is bad."""
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))
@@ -293,7 +293,7 @@ class Cell:
         return replace(self, settings=name)
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
-        """Return a hash of the cell, solver version, machine and dpbench version."""
+        """Return the run's id: hash of its description, solver version, machine and dpbench."""
         description = self._to_dict()
         return _hash_json(
             [description, solver_version, machine_id, harness_version, SCHEMA_VERSION]

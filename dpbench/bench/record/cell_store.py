@@ -117,7 +117,7 @@ class Source(ABC):
             return NO_RUNS
 
     def outcomes(self) -> dict[str, str]:
-        """Return run_id: outcome of the finished runs, without those whose steps are damaged."""
+        """Return the outcome of finished runs by run_id, without runs whose steps are damaged."""
         finished: dict[str, str] = {}
         try:
             for table in self.iterate_rows():

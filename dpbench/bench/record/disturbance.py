@@ -60,7 +60,7 @@ def read_counters() -> Floats:
 
 
 def _read_steal_s(cores: set[int]) -> float:
-    """Return the steal time of some cores [s], averaged; NaN where the kernel hides it."""
+    """Return the mean time [s] a virtual machine's host took from some cores; NaN if hidden."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
         of_core = {fields[0]: fields for fields in map(str.split, lines) if fields}

@@ -126,7 +126,7 @@ def current_revision() -> Revision:
 
 
 def checkout_revision(package: Path) -> Revision:
-    """Return commit and cleanness of a package in a git checkout; empty where it is in none."""
+    """Return a package's git commit and whether its files are unchanged; empty if unknown."""
     commit = _run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
     part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")

@@ -112,7 +112,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """Return the arrays of a `.npz` file, and its packed Python objects; InputError if damaged."""
+    """Return the arrays of a `.npz` file, and its pickled objects unread; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
     with open_regular_file(path, what) as file:

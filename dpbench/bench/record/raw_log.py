@@ -130,7 +130,7 @@ def _answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
 
 
 class AnswerLog:
-    """Recorded answers of one solver: arrays over (rounds, steps), with times and status."""
+    """Recorded answers of one solver: solution, times and status over (rounds, steps)."""
 
     done: Ints
     started: Ints
@@ -158,7 +158,7 @@ class BackupLog(AnswerLog):
 
 
 class RawLog(AnswerLog):
-    """The record of a run while it is made: arrays over steps, in a file that survives a crash.
+    """The record of a run while it is made: arrays over steps in one buffer, mostly a file.
 
     `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
     fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the

@@ -70,7 +70,7 @@ def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return columns of `runs.parquet` as a full table; ValueError or TypeError for wrong types."""
+    """Build a full table of runs from columns; ValueError or TypeError for wrong types."""
     arrays = {
         name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
         for name, (dtype, _) in RUN_COLUMNS.items()
@@ -277,7 +277,7 @@ def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchP
 
 
 def read_part(data: bytes) -> BatchPart:
-    """Return the part in the bytes of a file; an error of `DAMAGE` where there is none."""
+    """Return a batch's finished runs from its file's bytes; an error of `DAMAGE` if damaged."""
     columns = read_part_runs(pq.read_metadata(pa.BufferReader(data)).metadata)
     return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 

@@ -32,7 +32,7 @@ class Actuation:
         """Set up the allocation solver, if any, before the first step."""
 
     def apply_step(self, k: int) -> int:
-        """Set command and force from the limited u of step k; return a solver's time [ns]."""
+        """Set command and force from step k's limited u; return the allocation's time [ns]."""
         return 0
 
 
@@ -103,7 +103,7 @@ class Allocator(Actuation):
     def _solve_allocation(
         self, k: int, demand: Vector, solver: TimedSolver
     ) -> tuple[Vector | None, bool, int]:
-        """Solve an allocation QP; return Δf (n_f,) or None, if unfinished, and its time [ns]."""
+        """Solve a thrust-allocation QP; return Δf (n_f,) or None, if unfinished, time [ns]."""
         builder, answers = self._builder.allocation, self._log.allocation
         assert builder is not None and answers is not None, "a QP allocates"
         t0 = self._clock()

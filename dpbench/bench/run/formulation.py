@@ -84,7 +84,7 @@ class QPBuilder:
         return self.allocation.emit(demand, f_prev, limits=limits)
 
     def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
-        """Return the allocation QP of step k from recorded demand (K, 3), forces (K, n_f)."""
+        """Return the thrust-allocation QP of step k from recorded demand (K, 3) and thrust."""
         return self.emit_allocation(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
 
 
@@ -115,7 +115,7 @@ class BoxFormulation:
 
 
 class StackedFormulation(BoxFormulation):
-    """The formulation of QPs with all limits stacked as one-sided rows G z ≤ h."""
+    """The formulation of QPs with all limits as one-sided rows, as in the paper (eq. 23-25)."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         super().__init__(stack(base))

@@ -74,7 +74,7 @@ def never_preempted() -> tuple[int, int]:
 
 
 def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """Return the computational delay of a closed-loop cell; InputError for an impossible one."""
+    """Return a closed-loop run's computer slow-down and deadline; InputError if impossible."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -148,7 +148,7 @@ class SlowComputer:
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Return the QP of step k, `NO_STEP` while the processor is busy; let a due plan arrive."""
+        """Return step k's QP, or `NO_STEP` while the processor is busy; let a late plan arrive."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
