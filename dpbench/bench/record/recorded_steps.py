@@ -124,7 +124,7 @@ class StepsOnDisk:
 
     @cached_property
     def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
-        """For each row group: first row of each run, and the row after its last."""
+        """Each run's first row, and the row after its last, per row group of `steps.parquet`."""
         with (
             table_errors(self._path),
             pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file,
@@ -145,7 +145,7 @@ class StepsOnDisk:
         return _to_frame(self._read_group(group, columns), columns)
 
     def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:
-        """Return columns of one row group as an Arrow table; absent ones have no values."""
+        """Return columns of a row group of `steps.parquet` as an Arrow table, absent ones empty."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]

@@ -53,7 +53,7 @@ class QPBuilder:
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
-        """n, m, length of [θ; 1], n_f, and (n, m) of a cascade's allocation QP, 0 without a QP."""
+        """QP size n, m; length of [θ; 1]; thruster forces n_f; size of the thrust-allocation QP."""
         second = (0, 0) if self._allocates else None
         if self.allocation is not None:
             second = self.allocation.n, self.allocation.m

@@ -52,7 +52,7 @@ class ComputationalDelay:
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Return the latency of an answer computed in `spent_ns` [ns]; at most 2^62."""
+        """Return the simulated latency [ns] of an answer computed here in `spent_ns` [ns]."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
     def count_samples_late(self, latency_ns: int) -> int:
@@ -158,7 +158,7 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """Return an emitted step in the formulation of the solver."""
+        """Return a step's QP in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:

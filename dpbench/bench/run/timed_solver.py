@@ -322,7 +322,7 @@ class RunDelay:
             return UNKNOWN
 
     def since_last(self) -> int:
-        """Return the run delay since the last call, or since the start [ns]; −1 if unknown."""
+        """Return how long the thread waited for its core since the last call [ns]; −1: unknown."""
         before_ns, now_ns = self._before_ns, self._read_total_ns()
         self._before_ns = now_ns
         return now_ns - before_ns if now_ns != UNKNOWN else UNKNOWN

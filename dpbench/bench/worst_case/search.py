@@ -38,7 +38,7 @@ _POPULATIONS = (8, 16, 32)
 
 
 class _BudgetError(Exception):
-    """Raised within a search when its budget is spent."""
+    """Raised within a worst-case search when its number of trials is used up."""
 
 
 class SearchedSolver:
@@ -63,7 +63,7 @@ class SearchedSolver:
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
-        """Replay a sequence within `limit_s`; return the outcome and the evaluated columns."""
+        """Replay a sequence of QPs within `limit_s` [s]; return outcome and evaluated steps."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
@@ -96,7 +96,7 @@ class Case:
 
 
 class Search:
-    """A search for the case with a solver's worst step, by differential evolution.
+    """A search for the scenario variant with a solver's worst step, by differential evolution.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """Evaluate the unchanged scenario, then search until the budget is spent.
+        """Replay the unchanged scenario, then search its variants until all trials are used up.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Search:
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
     def _evolve(self, rng: np.random.Generator) -> None:
-        """Minimise the cost of points by differential evolution, again and again, until stopped."""
+        """Search scenario variants for the worst step by differential evolution, until stopped."""
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
