@@ -40,7 +40,7 @@ AnyItem = TypeVar("AnyItem", bound=Item)
 
 
 class _ItemProcess(Child, Generic[AnyItem]):
-    """A worker process that handles several items in order, with a verdict file for each."""
+    """A worker process that does several runs or files in order, with an outcome file for each."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class CellRun:
         return self._start_process(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+        """Record the outcomes of a batch's process; start the next one; None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         if self._to_run:
@@ -166,7 +166,7 @@ class CellRun:
     def _collect_part(
         self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
     ) -> list[BatchCell]:
-        """Collect the judged cells' part file; return the cells to judge again without one."""
+        """Collect the judged runs' results; return the runs to judge again where they are gone."""
         lost = {
             name: f"the referee failed on it: {verdict.detail}"
             for name, verdict in ended.items()
@@ -240,7 +240,7 @@ class FileRun:
         )
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+        """Record the outcomes of a process that made files; start the next one; None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]

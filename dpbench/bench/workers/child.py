@@ -207,7 +207,7 @@ class Child:
 
     @property
     def is_suspect(self) -> bool:
-        """Return whether the process may have killed its fork server, and must run again alone."""
+        """Return whether the worker may have killed its parent, so that it must run again alone."""
         return self.forkserver_died and not self.alone
 
     def kill_if_overdue(self) -> bool:
@@ -398,7 +398,7 @@ class ServingChild(Child):
 
 
 def _start_process(process: ForkServerProcess) -> None:
-    """Start a process, again where its fork server dies; NoProcessError after `STARTS` attempts."""
+    """Start a worker process, again where its parent dies; NoProcessError after `STARTS` times."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
         signal_process(_find_keeper_pid(), signal.SIGCONT)

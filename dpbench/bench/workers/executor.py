@@ -309,7 +309,7 @@ class CellExecutor(ExitStack):
         return sizes, lost
 
     def check_machine_free(self, *, times: bool) -> None:
-        """Raise BusyError where the machine stays busy too long; `times` needs all of it."""
+        """Raise BusyError if other campaigns use the machine too long; `times` needs all of it."""
         if self._patience.limit_s is not None:
             with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass
@@ -349,7 +349,7 @@ class CellExecutor(ExitStack):
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of finished jobs with their part files, and delete temporary files."""
+        """Return the results of ended runs with their stored rows, and delete temporary files."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():

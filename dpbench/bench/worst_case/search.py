@@ -170,7 +170,7 @@ class Search:
             )
 
     def _point_cost(self, point: Floats) -> float:
-        """Return minus the score of a point; infinite where it has none."""
+        """Return the cost of a scenario variant: the worse its worst step, the lower; else inf."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
