@@ -171,7 +171,7 @@ class Campaign:
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write all result files: runs, steps, designs, capability, `machine.json`, `suite.json`.
+        """Write all result files: runs, steps, stability, capability, machine, suite.
 
         `made_by` are the revisions of dpbench that ran the cells, if not this one.
         """

@@ -33,7 +33,7 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """Step times [s] by configuration, and bytes per table row, for estimates of a campaign.
+    """Step times [s] by solver configuration, and bytes per table row, to estimate a campaign.
 
     `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
     """
@@ -159,7 +159,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Return the expected time and size of a campaign on this machine, without running it."""
+    """Return a campaign's expected duration and table size on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()

@@ -50,7 +50,7 @@ class RequestedRuns:
                 self.jobs[run_id] = job, settings
 
     def make_rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """Return the row of each requested run; an unfinished one has only its outcome."""
+        """Return the `runs.parquet` row of each requested run, only the outcome if unfinished."""
         own = finished[finished.index.isin(self.jobs)]
         aliases = self.find_aliases(finished)
         others = [
@@ -130,7 +130,7 @@ def _selection_key(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Return whether the stored tables already have exactly the requested runs."""
+    """Return whether the result tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
     in_parts = {name for part in store.parts for name in part.read_rows()["run_id"].to_pylist()}
     return wanted == store.public.run_ids() and not set(wanted) & in_parts
@@ -165,7 +165,7 @@ def _split_steps(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of requested runs to one file, keep all others; return the runs read."""
+    """Write the steps of requested runs to one file, others to batch files; return run_ids read."""
     read: set[str] = set()
     for group in store.find_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}

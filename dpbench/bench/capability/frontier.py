@@ -88,7 +88,7 @@ class CapabilityPlot:
 
     @property
     def cases(self) -> list[Case]:
-        """The intact case, then the loss of each failure group."""
+        """The intact ship, then the loss of each group of thrusters that fail together."""
         groups = self.thrusters.groups.items()
         return [
             Case(INTACT, frozenset()),

@@ -223,7 +223,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Read the current workers from the scheduler; return a remark on each refused one.
+        """Read the current workers from the Dask scheduler; return a remark on each refused one.
 
         Nothing changes where the scheduler does not answer, or has none.
         """
@@ -233,7 +233,7 @@ class Cluster:
             return []
 
     def wait_for_reconnection(self) -> bool:
-        """Wait until the scheduler is back with a worker; return False where it stays away."""
+        """Wait until a lost Dask scheduler is back with a worker; return False if it stays away."""
         deadline = time.monotonic() + RETURN_S
         while time.monotonic() < deadline and self.client.status != "closed":
             with suppress(OSError):

@@ -49,7 +49,7 @@ NOT_ALONE = (
 def open_dask_engine(
     scheduler: str | None, workers: int, tls: TlsFiles | None = None
 ) -> DaskEngine:
-    """Open an engine on a scheduler's workers, or on a new cluster of `workers` on this machine."""
+    """Open an engine on a Dask scheduler's workers, or on `workers` new ones on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:
         until_connected.push(engine)
@@ -104,7 +104,7 @@ class DaskEngine(ExitStack):
 
     @property
     def slots(self) -> int:
-        """Number of tasks that the workers run at a time."""
+        """Number of batches of runs that the Dask workers do at a time."""
         return self.cluster.slots
 
     @property
@@ -114,11 +114,11 @@ class DaskEngine(ExitStack):
         return self._cluster
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead, enough for all workers."""
+        """Return how many batches of runs to submit ahead, enough for all Dask workers."""
         return BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Submit a batch as a task to the Dask scheduler."""
+        """Submit a batch of runs or files as a task to the Dask scheduler."""
         self._require_connection()
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
@@ -184,7 +184,7 @@ class DaskEngine(ExitStack):
         return on_worker.list_outcomes(returned)
 
     def _require_connection(self) -> None:
-        """Raise HandOverError or EngineGoneError where the scheduler is not connected."""
+        """Raise HandOverError or EngineGoneError where the Dask scheduler is not connected."""
         if self.cluster.client.status != "running":
             raise self._wait_for_connection()
 

@@ -149,7 +149,7 @@ class Dispatcher:
             self._in_flight.add(self._ready.popleft())
 
     def _may_run_beside(self, batch: Batch) -> bool:
-        """Return whether a batch may run at the same time as those the engine already has."""
+        """Return whether a batch of runs may run beside those the engine already has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))

@@ -61,7 +61,7 @@ class LocalEngine(ExitStack):
             executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead: one of timed replays, else two per slot."""
+        """Return how many batches of runs to submit ahead: one if timed, else two per process."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:

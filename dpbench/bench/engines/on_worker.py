@@ -52,7 +52,7 @@ class CampaignContext:
 
 @dataclass(frozen=True)
 class MadeFile:
-    """A file made on a worker: its outcome and its bytes, none where it failed."""
+    """A file made on a cluster worker: its outcome and its bytes, none where it failed."""
 
     outcome: Outcome
     data: bytes = b""
@@ -76,7 +76,7 @@ _ENDING = threading.Lock()
 
 @contextmanager
 def _registered_task() -> Iterator[None]:
-    """Register the calling thread during the block, so that `end_tasks` can interrupt it."""
+    """Register the thread of a cluster task in the block, so that `end_tasks` can interrupt it."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -104,7 +104,7 @@ def make_files(
     *,
     isolated: bool,
 ) -> dict[str, MadeFile]:
-    """Make files on one core of this worker; return each with its outcome, by path."""
+    """Make files on one core of this cluster worker; return each with its outcome, by path."""
     with lease_core() as core, _open_executor(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
@@ -188,7 +188,7 @@ def _find_library_identity(solver: str) -> str:
 
 @cache
 def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Return this worker's fork-server context, made once for each set of solvers."""
+    """Return the starter of this worker's processes, made once for each set of solvers."""
     return start_forkserver(solvers)
 
 

@@ -19,7 +19,7 @@ def open_engine(
     tls: TlsFiles | None = None,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """Open the engine `name`, "local" or "dask", for one campaign.
+    """Open what does a campaign's runs: "local" processes, or the workers of a "dask" cluster.
 
     Parameters
     ----------

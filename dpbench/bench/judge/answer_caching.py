@@ -101,7 +101,7 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
 
 
 def _machine_slowdown(log: RawLog, r: int) -> float:
-    """Return how many times slower than at its best the machine was around round r."""
+    """Return how many times slower than at its best the machine was around replay round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
         return 1.0

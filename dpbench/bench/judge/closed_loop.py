@@ -187,12 +187,12 @@ def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
-    """Return the answer of round r, step k from a raw log, in the solver's own units."""
+    """Return a solver's answer of round r, step k from a raw log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
-    """Return the evaluated steps and control metrics of a closed loop from its raw log."""
+    """Evaluate a closed loop's raw log; return its step columns and control metrics."""
     scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)

@@ -106,7 +106,7 @@ def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) ->
 
 
 def _overshoot(error: Vector) -> float:
-    """Return the largest error of opposite sign to the first one; NaN if that is 0."""
+    """Return the overshoot: the largest error of opposite sign to the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))

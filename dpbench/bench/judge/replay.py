@@ -30,7 +30,7 @@ def evaluate_sequence(
     *,
     judged: bool = True,
 ) -> EvaluatedCell:
-    """Return the evaluated steps and metrics of a replay from its raw log.
+    """Evaluate a replay's raw log; return its step columns and metrics.
 
     Parameters
     ----------

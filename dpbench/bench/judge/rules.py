@@ -89,7 +89,7 @@ def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> 
 
 
 def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
-    """Return a mask (N,) of replay rows that count: no warm-up, and no disturbed round.
+    """Return a mask (N,) of replay steps that count: no warm-up, and no disturbed round.
 
     Where every round is disturbed all of them count but the warm-up.
 
@@ -167,7 +167,7 @@ def claimed_not_true(steps: Steps) -> Flags:
 
 
 def true_not_claimed(steps: Steps) -> Flags:
-    """Return a mask (N,) of steps whose answer is the optimum though the solver claims none."""
+    """Return a mask (N,) of steps whose answer is optimal though the solver does not claim so."""
     said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
     return (
         _flag_column(steps, "true")
@@ -201,7 +201,7 @@ def first_move_errors(steps: Steps) -> Floats:
 
 
 def _flag_column(steps: Steps, name: str) -> Flags:
-    """Return a column of steps as a Boolean array (N,)."""
+    """Return a column of a table of steps as a Boolean array (N,)."""
     return np.asarray(steps[name], dtype=np.bool_)
 
 

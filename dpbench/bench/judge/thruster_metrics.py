@@ -74,7 +74,7 @@ def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tupl
 def _count_at_limits(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Return the share of steps with a thruster at its limit, and the steps beyond one.
+    """Return the share of steps with a thruster at its limit, and how many violate a limit.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """

@@ -137,7 +137,7 @@ def _find_true_runs(flags: Flags) -> tuple[Ints, Ints]:
 
 
 def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
-    """Return deadline misses, longest streak, recovery and latencies of a closed loop."""
+    """Return a closed loop's deadline misses, their longest streak, recovery and latencies."""
     late, true = steps["late"], steps["true"]
     recovered = steps_to_recover(late, true & ~late)
     total = _drop_missing(steps["total_ns"])

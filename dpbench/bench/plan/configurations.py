@@ -58,7 +58,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
 
 
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
-    """Return the solvers that a key of the suite names; UnknownNameError with that key."""
+    """Return the solvers that an entry of the suite names; UnknownNameError, naming the entry."""
     try:
         return _expand_names(names)
     except UnknownNameError as error:
@@ -77,7 +77,7 @@ def _expand_names(names: Sequence[str]) -> list[str]:
 
 
 def _is_default_solver(solver: str) -> bool:
-    """Return whether "all" includes a solver: no optional extra, or that is installed."""
+    """Return whether "all solvers" includes one: it is no optional extra, or is installed."""
     return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 

@@ -92,7 +92,7 @@ def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
 def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """Return each replayed scenario under the other horizons that replay tables name."""
+    """Return each replayed scenario with the other MPC horizons that the suite names."""
     asked = {
         (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
     }
@@ -183,7 +183,7 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """Raise InputError where a table's window of hardest steps is impossible."""
+    """Raise InputError where a suite table asks for an impossible window of hardest steps."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"

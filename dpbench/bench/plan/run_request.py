@@ -165,7 +165,7 @@ def _copy_with(model: Model, **update: object) -> Model:
 
 
 def list_plan_limits(planned: Sequence[PlannedCell]) -> list[str]:
-    """Return remarks on what a plan cannot measure, such as a p99 with too few steps."""
+    """Return remarks on what the planned runs cannot measure, such as a p99 with few steps."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports_percentile(max(lengths), 99):

@@ -182,6 +182,6 @@ def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint
 
 
 def _round_whole_numbers(drawn: Point, own: Mapping[str, object]) -> Point:
-    """Return drawn values, rounded where the scenario's own value is a whole number."""
+    """Return drawn parameter values, rounded where the scenario's own is a whole number."""
     whole = {key for key in drawn if isinstance(own.get(key), int)}
     return {key: round(value) if key in whole else value for key, value in drawn.items()}

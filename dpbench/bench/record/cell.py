@@ -94,7 +94,7 @@ class CapabilitySource(QPSource):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomSource(QPSource):
-    """QPs of a random sequence, made from a recipe."""
+    """Random QPs, generated from family, size and seed."""
 
     kind = "random"
     is_timed = is_judged = False
@@ -103,13 +103,13 @@ class RandomSource(QPSource):
 
     @classmethod
     def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
-        """Return the origin of random QPs made from a recipe, named after it."""
+        """Return the origin of random QPs from their family, size and seed, named after these."""
         return cls(name=recipe.name, recipe=recipe)
 
 
 @dataclass(frozen=True)
 class RecordedSource(QPSource):
-    """QPs of a recorded file or folder, identified by its SHA-256."""
+    """QPs read from a recorded file or folder, identified by its SHA-256."""
 
     kind = "recorded"
 

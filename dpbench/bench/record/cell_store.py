@@ -450,7 +450,7 @@ class CellStore:
 
 
 def select_stepless(runs: pa.Table, read: Collection[str]) -> pa.Table:
-    """Return the rows of runs that left no steps, except runs whose steps were `read`."""
+    """Return the rows of runs that recorded no steps, except those in `read`."""
     none = runs.filter(pc.equal(runs["steps_done"], 0))
     return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
 

@@ -38,7 +38,7 @@ QUIET_RULE = (
 
 
 def read_counters() -> Floats:
-    """Return clock, context switches, steal time, throttling and thread time of this process (6,).
+    """Read clock, context switches, host's time, throttling, thread time of this process (6,).
 
     Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
     mean over several), processor time of all threads but the calling one [s].
@@ -84,7 +84,7 @@ def _count_throttling(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """Return context switches, steal time and throttling summed over the rounds that count.
+    """Return a replay's context switches, time taken by the host and throttling, summed.
 
     Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
     less what they waited for the core.
@@ -135,7 +135,7 @@ class Disturbance:
         return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """Return which limits of `QUIET_RULE` were exceeded; none for a quiet machine."""
+        """Return, in words, which limits of a quiet machine the disturbances exceeded."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

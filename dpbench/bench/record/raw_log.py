@@ -147,7 +147,7 @@ class AnswerLog:
 
 
 class BackupLog(AnswerLog):
-    """Recorded answers of the backup solver; all times are −1 in a step without one.
+    """Recorded answers of the backup solver; all times are −1 in steps it did not solve.
 
     `acted` (steps,) whether its plan was applied, or began to be; `ready_ns` (steps,) time of its
     answer on a slow computer from t_k on, −1 where there is none.
@@ -231,7 +231,7 @@ class RawLog(AnswerLog):
             return cls(layout, mmap.mmap(file.fileno(), 0))
 
     def touch_pages(self) -> None:
-        """Read a byte of every page, so that the kernel maps them into this process."""
+        """Read a byte of every page of the record, so that the kernel maps them into memory."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 

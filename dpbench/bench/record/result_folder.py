@@ -341,12 +341,12 @@ def _read_runs(folder: Path) -> pd.DataFrame:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file; ResultsError, naming the file, without one."""
+    """Return the JSON object in a file of results; ResultsError, naming the file, without one."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Return name: SHA-256 of those files of a folder that exist."""
+    """Return the SHA-256, by name, of those files of a folder that exist."""
     found = {}
     for name in names:
         if (folder / name).is_file():

@@ -46,7 +46,7 @@ class Backup:
         log.times[:], log.ready_ns[:] = -1, -1
 
     def warm_up(self) -> None:
-        """Solve some unrecorded QPs, so that the first real one is not slow."""
+        """Let the backup solve some unrecorded QPs, so that the first real one is not slow."""
         self.solver.warm_up(WARM_UP_SOLVES)
 
     def solve_step(self, k: int, step: QPStep) -> Matrix | None:
@@ -70,7 +70,7 @@ class Backup:
 
 
 class LoopWithBackup:
-    """Solver, backup solver and fallback of a loop that waits for every answer."""
+    """Solver, backup solver and fallback of a closed loop that waits for every answer."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class LoopWithBackup:
 
     @property
     def phases_ns(self) -> tuple[int, ...]:
-        """Times of the main solver's phases in the last step [ns]."""
+        """Times of the main solver's set-up, update, solve and read in the last step [ns]."""
         return self._solver.phases_ns
 
     @property
@@ -96,7 +96,7 @@ class LoopWithBackup:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates in which the main solver took new matrices."""
+        """Number of updates in which the main solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:

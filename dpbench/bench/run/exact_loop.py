@@ -45,7 +45,7 @@ Part = Literal["controller", "allocation"]
 
 
 class ExactWorkspace(Workspace):
-    """A solver workspace whose answers are certified optima; scaled QPs only."""
+    """A solver whose answers are certified optima; scaled QPs only."""
 
     def __init__(self) -> None:
         super().__init__("exact", "native", "reuse")
@@ -67,7 +67,7 @@ class ExactWorkspace(Workspace):
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Store the vectors of a step, and its matrices where they have changed."""
+        """Store the vectors of a step's QP, and its matrices where they have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
@@ -116,7 +116,7 @@ class ExactLoop:
     drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write the states, forces and optima of the loop to a `.npz` file."""
+        """Write the states, forces and certified optima of the loop to a file."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
         arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
@@ -128,7 +128,7 @@ class ExactLoop:
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
-        """Return the loop in a file written by `save`; ResultsError where it is damaged or gone."""
+        """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
             demand, drawn = stored.get("demand"), read_stored_weather(stored)

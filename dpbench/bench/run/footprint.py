@@ -88,7 +88,7 @@ def mark_as_first_oom_victim() -> None:
 
 
 class MemoryWatch:
-    """Meter of a solver's peak memory: that of its worker, less the harness's own part.
+    """Meter of a solver's peak memory: that of its process, less the benchmark's own part.
 
     Made before the solver's library is imported. A forked process starts with its parent's present
     memory as its peak, which is subtracted; an older process resets its peak first.
@@ -101,7 +101,7 @@ class MemoryWatch:
         self._left = 0.0
 
     def begin_replay(self) -> None:
-        """Start measuring another replay in the same process, without memory of earlier ones."""
+        """Start measuring another replay's memory in this process, without that of earlier ones."""
         reset_peak_memory()
         self._left = _read_status("VmRSS") - self._imported
 
@@ -165,7 +165,7 @@ def count_affordable_steps(log: RawLog) -> int:
 def measure_step_memory(
     sequence: QPSequence, solver: TimedSolver, steps: int
 ) -> tuple[float, float, float]:
-    """Return memory blocks, peak bytes and heap growth of answering one step, untimed.
+    """Return memory blocks, peak bytes and heap growth of solving one QP, untimed.
 
     Returns
     -------

@@ -92,7 +92,7 @@ NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose
 
 
 class BoxFormulation:
-    """The condensed formulation of QPs, with box constraints, as they are emitted.
+    """The condensed formulation of QPs, with box constraints, as the controller makes them.
 
     `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
     steps without any. The arrays of a step that go to the solver are its own.
@@ -110,7 +110,7 @@ class BoxFormulation:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """Return a solver's answer as that to the condensed problem."""
+        """Return a solver's answer as the answer to the condensed QP: here the same."""
         return answer
 
 
@@ -145,7 +145,7 @@ class SparseFormulation(BoxFormulation):
 def loop_formulation(
     formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
 ) -> BoxFormulation:
-    """Return the formulation in which a closed loop hands its QPs to the solver."""
+    """Return the formulation, box, stacked or sparse, in which a loop's QPs go to the solver."""
     if builder.staged is None:
         return _choose_condensed_formulation(formulation, base)
     model = builder.staged.control.model
@@ -157,7 +157,7 @@ def loop_formulation(
 def replay_formulation(
     formulation: Formulation, sequence: QPSequence
 ) -> tuple[QPSequence, BoxFormulation]:
-    """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
+    """Return the QPs to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
         return sequence, _choose_condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
@@ -169,5 +169,5 @@ def replay_formulation(
 def _choose_condensed_formulation(
     formulation: Formulation, base: QuadraticProgram
 ) -> BoxFormulation:
-    """Return the stacked or the box formulation of a condensed problem."""
+    """Return the formulation of a condensed QP: one-sided rows only, or rows and a box."""
     return StackedFormulation(base) if formulation == "condensed_stacked" else BoxFormulation(base)

@@ -123,7 +123,7 @@ class ReplayRun:
         solver.reset()
 
     def run_round(self, r: int) -> bool:
-        """Replay round r into the log; return False when the time limit stopped it."""
+        """Solve and record the QPs of replay round r; return False if the time limit stopped it."""
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]

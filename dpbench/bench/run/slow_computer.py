@@ -48,7 +48,7 @@ class ComputationalDelay:
 
     @property
     def is_simulated(self) -> bool:
-        """Return whether answers may arrive late; otherwise the loop waits for each."""
+        """Return whether a slow computer is simulated, whose answers may arrive late."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
@@ -136,7 +136,7 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates in which the solver took new matrices."""
+        """Number of updates in which the solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
@@ -162,7 +162,7 @@ class SlowComputer:
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve a step however long it takes; return no answer while the processor is busy."""
+        """Solve a step's QP however long it takes; return no answer while the processor is busy."""
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing

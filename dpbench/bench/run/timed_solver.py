@@ -66,7 +66,7 @@ class TimedSolver:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates so far in which the workspace took new matrices."""
+        """Number of updates so far in which the solver took new QP matrices."""
         return self._workspace.matrix_updates
 
     def prepare(self) -> int:
@@ -217,7 +217,7 @@ class ResumedSolver(TimedSolver):
 
     @property
     def matrix_updates(self) -> int:
-        """Number of matrix updates in the earlier process and in this one."""
+        """Number of updates with new QP matrices, in the earlier process and in this one."""
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:

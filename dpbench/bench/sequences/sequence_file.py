@@ -231,7 +231,7 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
 
 
 def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
-    """Return the array `name`; InputError unless it is a matrix of at least one column."""
+    """Return the array `name` of a sequence file; InputError unless it is a matrix with columns."""
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:

@@ -285,7 +285,7 @@ class Child:
         return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
 
     def _diagnose_end(self) -> Outcome:
-        """Return the outcome of a process that left no verdict, by its exit code and phase."""
+        """Return the outcome of a worker that wrote none, by its exit code and what it was at."""
         by_solver = self.notice.phase.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)

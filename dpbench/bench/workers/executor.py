@@ -315,7 +315,7 @@ class CellExecutor(ExitStack):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
-        """Lock this machine, shared or exclusive for timing, waiting for other campaigns."""
+        """Lock this machine, shared or exclusive for timing, after waiting for other campaigns."""
         return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )

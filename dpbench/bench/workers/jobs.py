@@ -109,7 +109,7 @@ class CellBatch:
 
 @dataclass(eq=False)
 class FileBatch:
-    """Files to be made one after the other in one process.
+    """Files, mostly of QPs, to be made one after the other in one process.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Phases of a worker process: starting, harness work, opening a solver, solving."""
+    """Phases of a worker process: starting, benchmark's own work, opening a solver, solving."""
 
     STARTING = 0
     HARNESS = 1
@@ -226,7 +226,7 @@ def truncation_note() -> str:
 
 
 def run_target(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    """Run the target of a worker process; record an exception as the reason of its end."""
+    """Run the main function of a worker process; record an exception as the reason of its end."""
     _process_status[:] = [notice]
     notice.begin()
     notice.output.redirect()

@@ -90,7 +90,7 @@ def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
 
 
 def _error_objective(evaluated: EvaluatedCell) -> Floats:
-    """Return how bad each step's answer is by its error; inf for a false claim."""
+    """Return how bad each step's answer is by its error; inf for a false claim of the solver."""
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

@@ -42,7 +42,7 @@ class _BudgetError(Exception):
 
 
 class SearchedSolver:
-    """A solver configuration in a worker process that answers sequences one after the other."""
+    """A solver in a worker process that solves sequences of QPs one after the other."""
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
@@ -182,7 +182,7 @@ class Search:
         return np.inf if worst is None else -worst.score
 
     def _evaluate_case(self, point: Floats) -> WorstStep | None:
-        """Replay the variant at a point, keep it if worst so far, and return its worst step."""
+        """Replay the scenario variant at a point, keep it if worst; return its worst step."""
         try:
             scenario = self._space.build_variant(point)
             sequence = record_sequence(scenario)
