@@ -49,7 +49,7 @@ class WindLimit:
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """Load (3,) [N, N, N·m] of one weather, and the thrust share (p,) its losses leave."""
+    """Load (3,) [N, N, N·m] of one weather, and the share of thrust (p,) that losses leave."""
 
     load: Vector
     shares: Vector
@@ -96,7 +96,7 @@ class CapabilityPlot:
         ]
 
     def _compute_weather(self, from_rad: float, wind_mps: float) -> Weather:
-        """Return the load and thrust shares in wind, waves and current from `from_rad`."""
+        """Return load and usable shares of thrust in wind, waves and current from `from_rad`."""
         condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [

@@ -189,7 +189,7 @@ class DaskEngine(ExitStack):
             raise self._wait_for_connection()
 
     def _wait_for_connection(self) -> HandOverError | EngineGoneError:
-        """Wait for a lost scheduler; return the error to raise: hand over again, or engine gone."""
+        """Wait for a lost Dask scheduler; return the error to raise: submit again, or give up."""
         self._forget_tasks()
         if not self.cluster.wait_for_reconnection():
             return EngineGoneError(f"the scheduler {self._where} went away")

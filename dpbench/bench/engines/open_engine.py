@@ -59,7 +59,7 @@ def open_engine(
 
 
 def count_slots(jobs: int | None) -> int:
-    """Return `jobs`, or the number of this machine's cores for None; InputError beyond them."""
+    """Return how many runs to do at a time: `jobs`, or all cores for None; InputError if more."""
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

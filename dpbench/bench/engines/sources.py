@@ -22,7 +22,7 @@ class SourceFiles:
         self.folder, self._kept = folder, set(kept)
 
     def path(self, key: str) -> Path:
-        """Return the path of the file of QPs with this key."""
+        """Return the path of the file of QPs with this hash key."""
         return self.folder / f"exact-{key}.npz"
 
     def remove(self, key: str) -> None:

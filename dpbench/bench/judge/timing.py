@@ -105,7 +105,7 @@ def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
 def deadline_columns(
     delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
-    """Return whether each step (K,) of a loop was late, and its latency on a slow computer [ns]."""
+    """Return whether each step (K,) of a loop missed its deadline, and simulated latency [ns]."""
     if not delay.is_simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0

@@ -66,7 +66,7 @@ class HardestSource(QPSource):
     of: int = 0
 
     def count_stretch_steps(self, steps: int) -> int:
-        """Return how many steps the hardest ones are chosen from."""
+        """Return how many steps of the loop the hardest ones are chosen from."""
         return self.of
 
 

@@ -84,7 +84,7 @@ def _count_throttling(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """Return a replay's context switches, time taken by the host and throttling, summed.
+    """Return a replay's context switches, time taken by the host, throttling, in counted rounds.
 
     Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
     less what they waited for the core.

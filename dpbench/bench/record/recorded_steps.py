@@ -56,12 +56,12 @@ class StepsInMemory:
             yield some
 
     def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the rows of one run as a data frame."""
+        """Return the steps of one run as a data frame."""
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
     def read_all(self) -> pd.DataFrame:
-        """Return the rows of all runs as a data frame."""
+        """Return the steps of all runs as a data frame."""
         return self._frame
 
     @cached_property

@@ -156,7 +156,7 @@ def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]
 
 
 def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """Return the fields of optima as arrays over steps, with a prefix to their names."""
+    """Convert certified optima to arrays over steps, by name with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
@@ -164,7 +164,7 @@ def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any
 
 
 def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
-    """Return the optima stored as arrays whose names have a prefix."""
+    """Return the certified optima that are stored as arrays whose names have a prefix."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
         Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))

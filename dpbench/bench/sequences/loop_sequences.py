@@ -36,7 +36,7 @@ AVERAGE_S = 60.0
 
 
 def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
-    """Return a scenario's commanded thrusters and their limit rows; InputError without any."""
+    """Return a scenario's commanded thrusters and the rows of their limits; InputError if none."""
     commanded = scenario.controller.commanded
     if commanded is None:
         where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'

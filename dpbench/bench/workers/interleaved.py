@@ -239,7 +239,7 @@ def measure_load(log: RawLog) -> NDArray[np.float64]:
 
 
 def find_most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
-    """Return the replay round that other load slowed most; None where none was slowed."""
+    """Return the replay round with the slowest machine-load test; None where none was slowed."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 

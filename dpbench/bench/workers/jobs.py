@@ -46,7 +46,7 @@ class CellJob:
 
     @cached_property
     def source_key(self) -> str:
-        """Key of the file of the run's QPs."""
+        """Hash key of the file of the run's QPs, shared by runs that use the same file."""
         return self.cell.source_key(HARNESS_VERSION)
 
 
@@ -97,7 +97,7 @@ class CellBatch:
 
     @property
     def source_keys(self) -> list[str]:
-        """Keys of the files of the runs' QPs, each once."""
+        """Hash keys of the files of the batch's QPs, each once."""
         return [*group_by_source(self.jobs)]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:

@@ -64,7 +64,7 @@ class WorstCase:
 
     @property
     def lines(self) -> list[str]:
-        """The result of a worst-case search in words, a line each."""
+        """The result of a worst-case search in words: worst step, comparison, failures."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         headline = "nothing found"
