@@ -247,7 +247,7 @@ class Dispatcher:
 
 
 def longest_cell(jobs: Sequence[CellJob]) -> Cell:
-    """Return the run that needs the most steps of the file of QPs that all `jobs` share."""
+    """Return that of the runs on one file of QPs which needs the most steps of it."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 

@@ -41,7 +41,7 @@ _NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
 def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
-    """Return whether a replay's times may be compared with those of other solvers.
+    """Return whether a replay's times may be compared with those of other replays in the folder.
 
     They are taken one cell at a time, on the machine of the result folder.
 

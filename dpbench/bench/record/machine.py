@@ -46,7 +46,7 @@ def clock_read_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """Return a description of this machine for `machine.json`; equal `id`: comparable times.
+    """Describe this machine for `machine.json`; its `id` hashes what makes timings comparable.
 
     That is CPU model, cores, memory, kernel release, Python and the libraries of every
     configuration; a solver's own version is part of each cell's key instead.
