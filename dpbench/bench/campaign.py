@@ -49,7 +49,7 @@ from dpbench.solvers.table import check_availability
 
 
 class Campaign:
-    """One run of a suite's cells into a result folder, which can be interrupted and continued."""
+    """Execution of all runs of a suite into a result folder; can be interrupted and continued."""
 
     def __init__(
         self,
@@ -79,19 +79,19 @@ class Campaign:
     def attach_designs(
         self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False
     ) -> None:
-        """Replace the controller designs to study by those keyed to the machine `machine_id`."""
+        """Set the controllers whose stability is studied; records are kept by `machine_id`."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
     def _make_job(self, planned: PlannedCell) -> CellJob:
-        """Return the job of a planned cell, with its run_id and its solver library's version."""
+        """Return a planned run with its run_id and the version of its solver's library."""
         library = self._libraries[planned.cell.solver]
         identity = library_identity(planned.cell, library)
         run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
-        """Run all unfinished cells and designs on an engine, then write the result tables."""
+        """Do all unfinished runs and stability studies on an engine; write the result tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = self.find_pending()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
@@ -110,7 +110,7 @@ class Campaign:
         self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def find_pending(self) -> list[CellJob]:
-        """Return the unfinished cells; set the outcome of refused and stored cells."""
+        """Return the runs still to be done; set the outcome of refused and of stored ones."""
         pending = []
         for job in self.work:
             if job.planned.refused:
@@ -122,7 +122,7 @@ class Campaign:
         return pending
 
     def _store_result(self, job: CellJob, result: Result) -> None:
-        """Store a cell's result on disk; its outcome is "lost" where there is no room for it."""
+        """Store a run's result on disk; its outcome is "lost" where there is no room for it."""
         job.outcome = result.outcome
         if result.part is None:
             return
@@ -132,7 +132,7 @@ class Campaign:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
     def _make_capability_files(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
-        """Make the missing files of capability plots; a failure is shown in the file's cells."""
+        """Make missing files of capability-plot QPs; a failure shows in the runs that use them."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
         cells = {self.sources.path(key): longest_cell(self._at_boundary[key]) for key in wanted}
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
@@ -171,7 +171,7 @@ class Campaign:
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write all result files: runs, steps, designs, capability, `machine.json`, `suite.json`.
+        """Write all result files: runs, steps, stability, capability, machine, suite.
 
         `made_by` are the revisions of dpbench that ran the cells, if not this one.
         """
@@ -200,7 +200,7 @@ class Campaign:
 
 
 def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
-    """Return the entries of `suite.json` with the number of lost cells and designs, and remarks."""
+    """Return `suite.json` entries: how many runs and stability studies were lost, and remarks."""
     causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
     lines = [
         _describe_losses(causes, f"{len(runs)} cells", ", not by their solvers"),
@@ -214,7 +214,7 @@ def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]
 
 
 def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
-    """Return a line on how many cells or designs were lost, and why; "" for none."""
+    """Return a line on how many runs or stability studies were lost, and why; "" for none."""
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
@@ -226,7 +226,7 @@ def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
 
 
 def plan_suite_designs(plan: Plan) -> list[Design]:
-    """Return the controller designs of a whole suite; none where a part of it is run."""
+    """Return the controller-vessel pairs a suite studies for stability; none if run in part."""
     table = None if plan.part else plan.document.design
     with name_file_in_errors(plan.path):
         return plan_designs(table, plan.path.parent) if table else []

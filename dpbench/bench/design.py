@@ -106,7 +106,7 @@ class MissingDesign:
 
 @dataclass(frozen=True)
 class Designs:
-    """Content of `design.json`: the design records, and those that are missing."""
+    """Content of `design.json`: stability of each controller and vessel, and what is missing."""
 
     # A key too many or a number that is none is damage.
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -118,7 +118,7 @@ class Designs:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A controller in a vessel to study, as scenario documents with the weather of `calm`."""
+    """A controller and a vessel to study for stability, as scenario documents in calm weather."""
 
     controller: str
     files: ScenarioDocuments
@@ -130,12 +130,12 @@ class Design:
 
     @property
     def text(self) -> str:
-        """JSON text of the design, which its record is keyed by."""
+        """JSON text of controller and vessel, which identifies their stored stability record."""
         return json.dumps(vars(self), sort_keys=True, ensure_ascii=False)
 
 
 def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Return each controller of a table in each vessel; InputError for a bad or repeated file."""
+    """Pair each controller of a suite table with each vessel; InputError for a bad file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
     given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
@@ -209,7 +209,7 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
 
 
 def study_design(design: Design) -> DesignRecord:
-    """Return the eigenvalues and held offsets of a design, in still water and in calm weather."""
+    """Return a controller's closed-loop eigenvalues and the sway offsets it recovers from."""
     scenario, documents = build_scenario(design.files), design.files["scenario"]
     still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
     held = {
@@ -220,7 +220,7 @@ def study_design(design: Design) -> DesignRecord:
 
 
 def linear_record(scenario: Scenario) -> DesignRecord:
-    """Return a controller's closed-loop eigenvalues, without simulated trials (paper eq. 35)."""
+    """Return a controller's closed-loop eigenvalues without active limits; simulate nothing."""
     problem = scenario.problem
     roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
@@ -250,7 +250,7 @@ def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Brac
 
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Study one design in a process of its own and write its record to `path`."""
+    """Study a controller's stability in a process of its own; write the record to `path`."""
     pin_to_core(core)
     disable_gc_and_warnings()
     _write_designs(path, Designs((study_design(Design(**json.loads(text))),)))
@@ -258,7 +258,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
 
 
 class DesignStudy:
-    """The designs of a suite; finished records are stored in the folder `cells`.
+    """Stability studies of a suite's controllers and vessels; records are stored in `cells`.
 
     `lost` has the cause of each design that an accident of the benchmark cost.
     """
@@ -285,7 +285,7 @@ class DesignStudy:
         return WORK * len(self._pending)
 
     def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
-        """Study all designs without a stored record, in processes of their own."""
+        """Study the stability of all controllers without a stored record, in own processes."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
@@ -297,7 +297,7 @@ class DesignStudy:
             progress.advance(WORK, f"design {design.controller} {design.vessel}")
 
     def write(self, out: Path) -> None:
-        """Write `design.json` into a result folder; remove it where no designs are studied."""
+        """Write all stability records to `design.json` in a result folder; remove it if none."""
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
@@ -313,12 +313,12 @@ class DesignStudy:
 
 
 def _write_designs(path: Path, designs: Designs) -> None:
-    """Write design records to a JSON file."""
+    """Write controllers' stability records to a JSON file."""
     write_json(path, asdict(designs))
 
 
 def _read_record(path: Path) -> DesignRecord | None:
-    """Return the stored record of a finished design; None where it is missing or damaged."""
+    """Return a controller's stored stability record; None where it is missing or damaged."""
     try:
         (record,) = _read_design_file(path).records
     except (ResultsError, ValueError):
@@ -327,7 +327,7 @@ def _read_record(path: Path) -> DesignRecord | None:
 
 
 def load_designs(folder: Path) -> Designs | None:
-    """Return `design.json` of a result folder, None without it or if older; ResultsError if bad."""
+    """Return the stability records in `design.json`; None without it; ResultsError if damaged."""
     path = folder / DESIGN_FILE
     if not path.exists():
         return None
@@ -340,7 +340,7 @@ def load_designs(folder: Path) -> Designs | None:
 
 
 def _read_design_file(path: Path) -> Designs:
-    """Return the designs in a JSON file; ResultsError if damaged or of another schema."""
+    """Return the stability records in a JSON file; ResultsError if damaged or of another schema."""
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"

@@ -33,7 +33,7 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """Step times [s] by configuration, and bytes per table row, for estimates of a campaign.
+    """Step times [s] by solver configuration, and bytes per table row, to estimate a campaign.
 
     `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
     """
@@ -44,7 +44,7 @@ class Rates:
     run_bytes: float = RUN_BYTES
 
     def seconds_of(self, cell: Cell) -> float:
-        """Return the expected run time of a cell [s], by the measured or stated step times."""
+        """Return the expected time of a run [s], by the measured or stated step times."""
         step_s = self.steps_s.get(_kind_of_cell(cell), STEP_S - JUDGE_STEP_S)
         return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
@@ -56,7 +56,7 @@ STATED_RATES = Rates(
 
 @dataclass(frozen=True)
 class Estimate:
-    """Expected run time, table size and number of cells of a campaign.
+    """Expected duration, table size and number of runs of a campaign.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Estimate:
 
     @property
     def lines(self) -> list[str]:
-        """Lines to print for `--dry-run`: cells, duration, table size, source of the rates."""
+        """Lines to print for `--dry-run`: runs, duration, table size, origin of the step times."""
         counts = self.cells, self.refused, self.unmeasured, self.steps
         cells, refused, more, steps = (f"{count:,}".replace(",", " ") for count in counts)
         without = f" and {refused} refused" if self.refused else ""
@@ -101,17 +101,17 @@ def _format_duration(seconds: float) -> str:
 
 
 def count_recorded_steps(cell: Cell) -> int:
-    """Return the number of rows in `steps.parquet` that a cell leaves."""
+    """Return the number of rows that a run leaves in `steps.parquet`."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
 def _kind_of_cell(cell: Cell) -> Kind:
-    """Return a cell's mode and configuration, by which measured step times are kept."""
+    """Return a run's mode and solver configuration, by which measured step times are kept."""
     return tuple(str(getattr(cell, name)) for name in _KIND)
 
 
 def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Return the expected time and size of planned cells, without capability plots.
+    """Return the expected time and table size of planned runs, without capability plots.
 
     `slots` are closed loops at a time; replays along a loop run one after the other.
     """
@@ -159,7 +159,7 @@ def estimate_campaign(
     engine: str = "local",
     **asked: Any,
 ) -> Estimate:
-    """Return the expected time and size of a campaign on this machine, without running it."""
+    """Return a campaign's expected duration and table size on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()

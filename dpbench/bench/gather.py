@@ -43,7 +43,7 @@ def gather(
     suite: str | Path | None = None,
     solver_module: str | Path | None = None,
 ) -> Path:
-    """Join result folders of `dpbench cells`, one per shard, into the result folder `out`.
+    """Join the result folders of a suite that was run in parts into one result folder `out`.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def _make_common_plan(
     suite: str | Path | None,
     solver_module: str | Path | None,
 ) -> Plan:
-    """Return the plan that all shards are parts of; InputError where there is no common one."""
+    """Return the suite's plan that all folders are parts of; InputError where there is none."""
     where, first = next(iter(shards.items()))
     for folder, shard in shards.items():
         if shard.harness_version != HARNESS_VERSION:
@@ -121,7 +121,7 @@ def _make_common_plan(
 
 
 def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
-    """Return a remark that names the shards not among these folders; none if all are there."""
+    """Return a remark that names the parts of the suite without a folder; none if complete."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
         found = " and ".join(f"shards of {count}" for count in sorted(counts))
@@ -132,7 +132,7 @@ def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
 
 
 def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
-    """Copy all finished cells into `out`; return their rows, and remarks on the folders."""
+    """Copy all finished runs into `out`; return their rows, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
             stack.enter_context(lock_result_folder(folder, name))
@@ -148,7 +148,7 @@ def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.Da
 
 
 def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
-    """Raise InputError where cells of a solver ran with several versions or builds."""
+    """Raise InputError where runs of one solver used several versions or builds of it."""
     versions = rows["solver_version"].str.cat(rows["build"], " ").str.strip()
     for solver, alike in versions.groupby(rows["solver"]):
         if alike.nunique() > 1:
@@ -159,7 +159,7 @@ def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
 def _choose_machine(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
 ) -> tuple[MachineDescription, list[MachineDescription]]:
-    """Return the machine with the most timed replays, or else most cells; then the others."""
+    """Return the machine with the most timed replays (else runs), and the other machines."""
     known = {shard.machine["id"]: shard.machine for shard in shards}
     timed = finished.loc[finished["concurrency"].notna(), "machine_id"]
     counts = Counter(timed if len(timed) else finished["machine_id"])
@@ -170,7 +170,7 @@ def _choose_machine(
 
 
 def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
-    """Yield description and outcome of each cell that a shard lost or found invalid."""
+    """Yield description and outcome of each run in a folder that was lost or invalid."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
@@ -187,7 +187,7 @@ def _apply_finished(
     said: Mapping[str, Outcome],
     machine_id: str,
 ) -> None:
-    """Set run_id, library and machine of each job from the row of its finished cell."""
+    """Set each planned run's run_id, solver version and machine from its finished run's row."""
     # Of a cell that ran on several machines, that on the machine of the folder.
     there = finished.iloc[(finished["machine_id"] == machine_id).argsort(kind="stable")]
     by_cell = dict(zip(there["cell"], there.index, strict=True))

@@ -50,7 +50,7 @@ class RequestedRuns:
                 self.jobs[run_id] = job, settings
 
     def make_rows(self, finished: pd.DataFrame) -> pd.DataFrame:
-        """Return the row of each requested run; an unfinished one has only its outcome."""
+        """Return the `runs.parquet` row of each requested run, only the outcome if unfinished."""
         own = finished[finished.index.isin(self.jobs)]
         aliases = self.find_aliases(finished)
         others = [
@@ -65,7 +65,7 @@ class RequestedRuns:
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """Return rows of finished cells again, under further names of the same settings."""
+        """Repeat rows of finished runs under further names of the same solver settings."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
@@ -75,7 +75,7 @@ class RequestedRuns:
         )
 
     def _unfinished_row(self, run_id: str, job: CellJob, settings: str) -> Mapping[str, object]:
-        """Return the row of a cell without results: its description and outcome."""
+        """Return the row of a run without results: its description and outcome."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
@@ -83,7 +83,7 @@ class RequestedRuns:
         return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Return new run_id: finished run_id, of runs whose settings have another name."""
+        """Map run_ids under other names of the same solver settings to those of finished runs."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()
@@ -99,7 +99,7 @@ _SELECTION_COLUMNS = (
 
 
 def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str) -> None:
-    """Raise InputError where `out` has finished runs other than `cells`."""
+    """Raise InputError where folder `out` has finished runs other than the planned `cells`."""
     asked = {
         (*_selection_key(planned.cell), settings)
         for planned in cells
@@ -122,7 +122,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
 
 
 def _selection_key(cell: Cell) -> tuple[object, ...]:
-    """Return the values that identify a cell whatever its version, machine and settings."""
+    """Return the values that identify a run whatever its version, machine and settings."""
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
@@ -130,7 +130,7 @@ def _selection_key(cell: Cell) -> tuple[object, ...]:
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
-    """Return whether the stored tables already have exactly the requested runs."""
+    """Return whether the result tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
     in_parts = {name for part in store.parts for name in part.read_rows()["run_id"].to_pylist()}
     return wanted == store.public.run_ids() and not set(wanted) & in_parts
@@ -165,7 +165,7 @@ def _split_steps(
     aliases: Mapping[str, str],
     steps: StepFile,
 ) -> set[str]:
-    """Write the steps of requested runs to one file, keep all others; return the runs read."""
+    """Write the steps of requested runs to one file, others to batch files; return run_ids read."""
     read: set[str] = set()
     for group in store.find_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}

@@ -45,7 +45,7 @@ def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
 
 
 def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
-    """Return the `POINTS` winds around the wind limit of one failure case and direction."""
+    """Return the capability QPs at `POINTS` winds around one direction's and failure's limit."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):
         rows = range(number + 1 - POINTS, number + 1)
@@ -77,7 +77,7 @@ def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QP
 
 
 def _build_allocation(frontier: CapabilityPlot, cases: set[Case], sides: int) -> StaticAllocation:
-    """Return an allocation problem with room for the thrusters' pieces in every failure case."""
+    """Return an allocation QP with rows for the thrusters' convex areas in any failure case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)
     pieces = [[piece for of_case in every for piece in of_case[i]] for i in range(count)]

@@ -49,7 +49,7 @@ class WindLimit:
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """Load (3,) [N, N, N·m] of one weather, and the thrust share (p,) its losses leave."""
+    """Load (3,) [N, N, N·m] of one weather, and the share of thrust (p,) that losses leave."""
 
     load: Vector
     shares: Vector
@@ -88,7 +88,7 @@ class CapabilityPlot:
 
     @property
     def cases(self) -> list[Case]:
-        """The intact case, then the loss of each failure group."""
+        """The intact ship, then the loss of each group of thrusters that fail together."""
         groups = self.thrusters.groups.items()
         return [
             Case(INTACT, frozenset()),
@@ -96,7 +96,7 @@ class CapabilityPlot:
         ]
 
     def _compute_weather(self, from_rad: float, wind_mps: float) -> Weather:
-        """Return the load and thrust shares in wind, waves and current from `from_rad`."""
+        """Return load and usable shares of thrust in wind, waves and current from `from_rad`."""
         condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
@@ -106,7 +106,7 @@ class CapabilityPlot:
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
     def _split_thrust_areas(self, case: Case) -> list[list[Piece]]:
-        """Return the convex pieces of each thrust area (p,); none for one without thrust."""
+        """Return each thruster's thrust area in one failure case, split into convex pieces."""
         every = self.thrusters.thrusters
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
@@ -130,11 +130,11 @@ class CapabilityPlot:
         return case.lost | nowhere
 
     def _list_combinations(self, case: Case) -> list[Combination]:
-        """Return every choice of one convex piece for each thruster."""
+        """Return every choice of one convex piece of thrust area for each thruster."""
         return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
 
     def least_use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
-        """Return the least share of full thrust that holds a wind, for one choice of pieces."""
+        """Return the least share of full thrust that holds a wind, in given convex thrust areas."""
         weather = self.weather(from_rad, wind_mps)
         return self._utilisation.least_use(
             weather.load, weather.shares, chosen, self.lost_thrusters(case)
@@ -143,7 +143,7 @@ class CapabilityPlot:
     def best_choice(
         self, case: Case, from_rad: float, wind_mps: float
     ) -> tuple[float, Combination]:
-        """Return the least share of full thrust that holds a wind, and the choice that needs it."""
+        """Return the least share of full thrust that holds a wind, and its convex thrust areas."""
         uses = [
             (self.least_use(case, from_rad, wind_mps, chosen), chosen)
             for chosen in self.combinations(case)
@@ -168,7 +168,7 @@ class CapabilityPlot:
     def _solve_wind_limit(
         self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
-        """Return the wind [m/s] within `between` at which the best choice needs full thrust."""
+        """Return the wind [m/s] within `between` that takes full thrust, in the best areas."""
         low, high = between
         for chosen in choices:
 

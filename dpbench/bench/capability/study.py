@@ -40,7 +40,7 @@ class Capability:
 
     @property
     def numbers(self) -> tuple[int, int, int, int]:
-        """Least DP capability numbers near the bow and all round: intact, then failed."""
+        """Least DP capability numbers near the bow and all round: intact, then worst failure."""
         return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
 
     @property

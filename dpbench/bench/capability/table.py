@@ -41,7 +41,7 @@ direction of the weather; wind of the QP and whether it is held; largest wind he
 def capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
-    """Return one capability plot as columns of `capability.parquet`, with values for JSON."""
+    """Return one capability plot and its QPs as columns of `capability.parquet`, by name."""
     direction = {round(from_deg, 6): k for k, from_deg in enumerate(FROM_DEG)}
     rows = []
     for k, point in enumerate(points):

@@ -34,7 +34,7 @@ def _import_clarabel() -> Any:
 
 
 class Utilisation:
-    """Cone programs for the least thrust that balances a load; circles where `sides` is None."""
+    """Solver for the least share of full thrust that balances a load, by cone programs."""
 
     def __init__(self, thrusters: ThrusterSet, sides: int | None = None) -> None:
         self._thrusters, self._sides = thrusters, sides
@@ -51,7 +51,7 @@ class Utilisation:
     def least_use(
         self, load: Vector, shares: Vector, chosen: tuple[Piece, ...], lost: frozenset[int]
     ) -> float:
-        """Return the least u that balances a load (3,) [N, N, N·m]; inf where no thrust does.
+        """Return the least share of full thrust that balances a load (3,) [N, N, N·m]; inf if none.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class Utilisation:
 
 
 class _Cones:
-    """Constant parts of the cone programs of one choice of pieces: min x_u, b − A x in the cones.
+    """Cone program for the least thrust share in one choice of convex thrust areas, but the load.
 
     x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, the only part of
     it that changes.
@@ -111,13 +111,13 @@ class _Cones:
         self._of_balance = self._matrix.indices < AXES
 
     def insert_balance(self, balance: Matrix) -> csc_matrix:
-        """Return A with the balance rows (3, entries) inserted; the same object each time."""
+        """Return the constraint matrix with the force-balance rows (3, entries) filled in."""
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
 
 
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
-    """Return one thruster's rows (r, components + 1) over (f_i/T_i, u), and their cones."""
+    """Return the cone constraints of one thruster's force by its thrust share: rows and cones."""
     if thruster.kind != "azimuth":
         return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [
             _import_clarabel().NonnegativeConeT(2)

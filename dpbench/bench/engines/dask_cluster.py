@@ -66,7 +66,7 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
     """A worker of a Dask cluster started on this machine."""
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
-        """Interrupt the running task, then close; Dask would wait for it and then kill it."""
+        """Interrupt the running task, then close the worker; Dask would wait for the task."""
         end_tasks()
         return await super().close(*args, **kwargs)
 
@@ -105,7 +105,7 @@ def _check_reachable(address: str) -> None:
 
 
 async def _connect_once(address: str, security: Security) -> None:
-    """Try one connection and close it: a refused Dask client would leave threads behind."""
+    """Test that a Dask scheduler accepts a connection, and close it; OSError if refused."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
     await comm.close()
@@ -184,7 +184,7 @@ def _open_own_cluster(workers: int) -> Iterator[Client]:
 
 
 class Cluster:
-    """The workers of a Dask cluster that can run cells, as they come and go.
+    """The workers of a Dask cluster that can take a campaign's runs, as they come and go.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Read the current workers from the scheduler; return a remark on each refused one.
+        """Read the current workers from the Dask scheduler; return a remark on each refused one.
 
         Nothing changes where the scheduler does not answer, or has none.
         """
@@ -233,7 +233,7 @@ class Cluster:
             return []
 
     def wait_for_reconnection(self) -> bool:
-        """Wait until the scheduler is back with a worker; return False where it stays away."""
+        """Wait until a lost Dask scheduler is back with a worker; return False if it stays away."""
         deadline = time.monotonic() + RETURN_S
         while time.monotonic() < deadline and self.client.status != "closed":
             with suppress(OSError):
@@ -270,7 +270,7 @@ class Cluster:
 
 
 def _check_worker(address: str, answer: object) -> WorkerInfo:
-    """Return a worker's answer as its properties; InputError where it cannot run cells."""
+    """Check a Dask worker's description of itself; InputError where it cannot take runs."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")

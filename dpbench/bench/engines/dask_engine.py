@@ -49,7 +49,7 @@ NOT_ALONE = (
 def open_dask_engine(
     scheduler: str | None, workers: int, tls: TlsFiles | None = None
 ) -> DaskEngine:
-    """Open an engine on a scheduler's workers, or on a new cluster of `workers` on this machine."""
+    """Open an engine on a Dask scheduler's workers, or on `workers` new ones on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:
         until_connected.push(engine)
@@ -60,7 +60,7 @@ def open_dask_engine(
 
 
 class DaskEngine(ExitStack):
-    """An engine that runs batches of cells as tasks on the workers of a Dask cluster."""
+    """An engine that does batches of runs as tasks on the workers of a Dask cluster."""
 
     def __init__(self, workers: int) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class DaskEngine(ExitStack):
         self._forget_tasks()
 
     def _forget_tasks(self) -> None:
-        """Drop all submitted tasks and the sources that exist on workers."""
+        """Drop all submitted tasks, and the files of QPs that were made on workers."""
         self._in_flight: dict[str, Batch] = {}
         self._sources: dict[str, Future] = {}  # by the path of their file
         self._given_to: dict[str, frozenset[str]] = {}  # the workers that each task may run on
@@ -88,7 +88,7 @@ class DaskEngine(ExitStack):
         self.machine = self._cluster.machine
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start workers unless connected to some; remark on limits of their timing."""
+        """Start Dask workers unless connected to some; remark on limits of their timing."""
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
@@ -104,21 +104,21 @@ class DaskEngine(ExitStack):
 
     @property
     def slots(self) -> int:
-        """Number of tasks that the workers run at a time."""
+        """Number of batches of runs that the Dask workers do at a time."""
         return self.cluster.slots
 
     @property
     def cluster(self) -> Cluster:
-        """The Dask cluster that runs the cells."""
+        """The Dask cluster that does the runs."""
         assert self._cluster is not None, "it is prepared"
         return self._cluster
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead, enough for all workers."""
+        """Return how many batches of runs to submit ahead, enough for all Dask workers."""
         return BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Submit a batch as a task to the Dask scheduler."""
+        """Submit a batch of runs or files as a task to the Dask scheduler."""
         self._require_connection()
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
@@ -131,7 +131,7 @@ class DaskEngine(ExitStack):
         future.add_done_callback(self._ended.put)
 
     def completed(self) -> Iterator[Completed]:
-        """Wait some seconds for a completed batch; yield it with its results."""
+        """Wait some seconds for a completed batch of runs; yield it with its results."""
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
             self._refresh()
         try:
@@ -143,16 +143,16 @@ class DaskEngine(ExitStack):
         yield batch, self._read_results(batch, future)
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Return True: Dask makes a source again where it is lost with its worker."""
+        """Return True: Dask remakes a file of QPs that was lost with its worker."""
         return True
 
     def release_source(self, key: str) -> None:
-        """Let Dask free the bytes of a source on its workers."""
+        """Let Dask free the memory of a file of QPs on its workers."""
         if source := self._sources.pop(str(self._files.path(key)), None):
             self._given_to.pop(source.key, None)
 
     def _refresh(self) -> None:
-        """Read the current workers; HandOverError where all those of some task are gone."""
+        """Update the list of workers; HandOverError if all workers of some task are gone."""
         for remark in self.cluster.refresh():
             self._progress.remark(remark)
         self._refreshed_s = time.monotonic()
@@ -164,7 +164,7 @@ class DaskEngine(ExitStack):
             raise HandOverError("no worker is left of those that a task was given to")
 
     def _read_results(self, batch: Batch, future: Future) -> Sequence[Result]:
-        """Return the results of a completed task; none where its workers died."""
+        """Return the run results of a completed Dask task; none where its workers died."""
         try:
             returned = future.result()
         except CancelledError as error:
@@ -184,12 +184,12 @@ class DaskEngine(ExitStack):
         return on_worker.list_outcomes(returned)
 
     def _require_connection(self) -> None:
-        """Raise HandOverError or EngineGoneError where the scheduler is not connected."""
+        """Raise HandOverError or EngineGoneError where the Dask scheduler is not connected."""
         if self.cluster.client.status != "running":
             raise self._wait_for_connection()
 
     def _wait_for_connection(self) -> HandOverError | EngineGoneError:
-        """Wait for a lost scheduler; return the error to raise: hand over again, or engine gone."""
+        """Wait for a lost Dask scheduler; return the error to raise: submit again, or give up."""
         self._forget_tasks()
         if not self.cluster.wait_for_reconnection():
             return EngineGoneError(f"the scheduler {self._where} went away")
@@ -197,7 +197,7 @@ class DaskEngine(ExitStack):
         return HandOverError("the connection was lost for a while")
 
     def _submit_cells(self, batch: CellBatch) -> Future:
-        """Submit a batch of cells as a task, with the sources of their QPs."""
+        """Submit a batch of runs as a Dask task, with the files of their QPs."""
         alone = batch.is_timed and self.cluster.exclusive
         return self._submit(
             on_worker.run_cells,
@@ -213,7 +213,7 @@ class DaskEngine(ExitStack):
         )
 
     def _submit_sources(self, batch: FileBatch) -> Future:
-        """Submit tasks that make sources and keep them on workers; return their outcomes' task."""
+        """Submit Dask tasks that make files of QPs, kept on workers; return their outcomes."""
         made: dict[str, Future] = {}
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
@@ -231,14 +231,14 @@ class DaskEngine(ExitStack):
         return self._submit(on_worker.list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
-        """Submit one task that makes files from the descriptions `texts`."""
+        """Submit a Dask task that makes files from the descriptions `texts`."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
         return self._submit(*args, isolated=batch.isolated, name=name, retries=RETRIES)
 
     def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
-        """Submit a function call under a unique name to the workers that can run cells."""
+        """Submit a function call as a uniquely named Dask task to the accepted workers."""
         self._require_connection()
         key = f"{name}-{next(self._names)}"
         if not self.cluster.is_own:

@@ -40,7 +40,7 @@ DIED = "every worker that it was given to died"
 
 
 class Dispatcher:
-    """Dispatcher of cells and files to an engine, with their sources, retries and progress."""
+    """Dispatcher of runs to an engine: makes their files of QPs first, retries lost ones."""
 
     def __init__(self, engine: Engine, sources: SourceFiles, progress: Progress) -> None:
         self._engine, self._sources, self._progress = engine, sources, progress
@@ -54,7 +54,7 @@ class Dispatcher:
         self._retried = set[str]()
 
     def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
-        """Run all cells on the engine; yield exactly one result per cell."""
+        """Do all runs on the engine; yield exactly one result per run."""
         self._uses = Counter(job.source_key for job in jobs)
         for kind, alike in _split_by_kind(jobs):
             self._of_key = group_by_source(alike)
@@ -76,7 +76,7 @@ class Dispatcher:
                 yield Path(result.run_id), result.outcome
 
     def _complete_batches(self) -> Iterator[Completed]:
-        """Run all queued batches on the engine; yield each with its final results."""
+        """Do all queued batches of runs on the engine; yield each with its final results."""
         while True:
             try:
                 self._request_sources()
@@ -93,7 +93,7 @@ class Dispatcher:
                 yield from self._give_up(str(error))
 
     def _request_sources(self) -> None:
-        """Queue the sources that the next batches need, as many as may exist at a time."""
+        """Queue the making of the files of QPs that the next batches of runs need."""
         idle = not (self._ready or self._in_flight)
         if self._isolated and idle:
             batch = self._isolated.popleft()
@@ -119,7 +119,7 @@ class Dispatcher:
         self._ready.extend(self._batch_sources(keys))
 
     def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
-        """Yield batches that make the files of QPs, as long as the longest run that uses them."""
+        """Yield batches that make files of QPs, each as long as the longest run that uses it."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = choose_batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):
@@ -128,7 +128,7 @@ class Dispatcher:
             yield FileBatch(make_source, texts, are_sources=True)
 
     def _unblock_batches(self) -> Iterator[Completed]:
-        """Queue batches whose sources are all made; yield results for cells of failed sources."""
+        """Queue batches whose QP files are made; yield results of runs whose QP file failed."""
         blocked, self._blocked = self._blocked, []
         for batch in blocked:
             if not self._being_made.isdisjoint(batch.source_keys):
@@ -143,13 +143,13 @@ class Dispatcher:
                 self._ready.append(batch)
 
     def _submit_ready(self) -> None:
-        """Submit queued batches to the engine while they may run beside those in flight."""
+        """Submit queued batches of runs to the engine while they may run at the same time."""
         while self._ready and self._may_run_beside(self._ready[0]):
             self._engine.submit(self._ready[0])
             self._in_flight.add(self._ready.popleft())
 
     def _may_run_beside(self, batch: Batch) -> bool:
-        """Return whether a batch may run at the same time as those the engine already has."""
+        """Return whether a batch of runs may run beside those the engine already has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))
@@ -157,7 +157,7 @@ class Dispatcher:
         return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
 
     def _record_sources(self, results: Sequence[Result]) -> None:
-        """Record which sources were made and which failed."""
+        """Record which files of QPs were made and which failed."""
         keys = {str(self._sources.path(key)): key for key in self._being_made}
         for result in results:
             key = keys[result.run_id]
@@ -168,7 +168,7 @@ class Dispatcher:
                 self._failed[key] = result.outcome
 
     def _filter_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
-        """Yield the results of a batch; cells lost with a bad source are queued again instead."""
+        """Yield a batch's results; runs lost with a damaged file of QPs are queued again."""
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[result.run_id] for result in results if result.is_lost]
         again = {job.run_id: job for job in lost if self._has_damaged_source(job)}
@@ -184,7 +184,7 @@ class Dispatcher:
                 yield result
 
     def _has_damaged_source(self, job: CellJob) -> bool:
-        """Return whether a lost cell's source was damaged since it was made."""
+        """Return whether a lost run's file of QPs was damaged since it was made."""
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
@@ -193,7 +193,7 @@ class Dispatcher:
         )
 
     def _count_result(self, batch: CellBatch, job: CellJob) -> None:
-        """Advance the progress by a finished cell; release its source after the last user."""
+        """Advance the progress by a finished run; release its QP file after its last user."""
         shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
         self._progress.advance(count_steps(job.cell) - shown, cell_label(job.cell))
@@ -207,7 +207,7 @@ class Dispatcher:
             self._engine.release_source(key)
 
     def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
-        """Queue cells without result for an isolated retry; return "lost" after a retry."""
+        """Queue runs without a result to be retried alone; return "lost" after a retry."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
             return [Result(name, Outcome("lost", DIED)) for name in names]
@@ -215,7 +215,7 @@ class Dispatcher:
         return []
 
     def _hand_over_again(self) -> Iterator[Completed]:
-        """Queue again all batches that the engine dropped; isolate those dropped too often."""
+        """Queue again all batches that the engine dropped; retry alone those dropped too often."""
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
         ready, self._ready = self._ready, deque()
@@ -233,7 +233,7 @@ class Dispatcher:
                 self._ready.append(batch)
 
     def _give_up(self, reason: str) -> Iterator[Completed]:
-        """Empty all queues; yield a "lost" result for every cell or file without one."""
+        """Empty all queues; yield a "lost" result for every run or file without one."""
         cells = [*self._blocked, *self._waiting]
         batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
         for queue in (self._blocked, self._waiting, self._ready, self._isolated):
@@ -247,12 +247,12 @@ class Dispatcher:
 
 
 def longest_cell(jobs: Sequence[CellJob]) -> Cell:
-    """Return the cell that needs the most steps of the source that all `jobs` share."""
+    """Return that of the runs on one file of QPs which needs the most steps of it."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
 def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Yield closed loops, then timed replays, then untimed problems: the order they run in."""
+    """Split runs by kind: closed loops, then timed replays, then problems without a deadline."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
     yield "replays", [job for job in replays if job.cell.is_timed]
@@ -260,7 +260,7 @@ def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob
 
 
 def _sourceless_result(job: CellJob, outcome: Outcome) -> Result:
-    """Return the result of a cell whose source failed: "lost" or "invalid", with the cause."""
+    """Return the result of a run whose QPs could not be made: "lost" or "invalid", and why."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"
     return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

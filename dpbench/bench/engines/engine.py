@@ -22,15 +22,15 @@ Completed = tuple[Batch, Sequence[Result]]
 
 
 class HandOverError(DpbenchError):
-    """Raised when an engine has dropped all its batches, which must be submitted again."""
+    """Raised when an engine has dropped all its batches of runs; they must be submitted again."""
 
 
 class EngineGoneError(DpbenchError):
-    """Raised when an engine cannot run anything any more."""
+    """Raised when an engine, such as a cluster, cannot run anything any more."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Protocol of what runs batches of cells: this machine's processes, or a cluster's workers.
+    """Protocol of what does batches of runs: this machine's processes, or a cluster's workers.
 
     Of a result folder it writes only the files that it is asked to make.
 
@@ -44,23 +44,23 @@ class Engine(AbstractContextManager["Engine"], Protocol):
 
     @property
     def slots(self) -> int:
-        """Number of batches that run at a time."""
+        """Number of batches of runs that are done at a time."""
 
     @property
     def remarks(self) -> Sequence[str]:
         """Remarks to show at the end of the campaign."""
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start what is needed to run the cells of `jobs`."""
+        """Start the processes or workers needed for the runs `jobs`."""
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead: of timed replays, or of others."""
+        """Return how many batches of runs to submit ahead: of timed replays, or of others."""
 
     def submit(self, batch: Batch) -> None:
-        """Start or queue a batch, whose sources must exist."""
+        """Start or queue a batch of runs, whose files of QPs must exist."""
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for completed batches, some seconds at most; yield each with its results.
+        """Wait for completed batches of runs, some seconds at most; yield each with its results.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         """
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Return whether a source is still intact, after a cell that needs it was lost."""
+        """Return whether a file of QPs is still intact, after a run that needs it was lost."""
 
     def release_source(self, key: str) -> None:
-        """Delete a source that no cell needs any more."""
+        """Delete a file of QPs that no run needs any more."""

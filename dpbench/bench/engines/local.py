@@ -24,7 +24,7 @@ COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
 
 class LocalEngine(ExitStack):
-    """An engine that runs cells in processes on this machine, several side by side.
+    """An engine that does runs in processes on this machine, several side by side.
 
     `slots` processes run at a time, on as many cores; timed replays run one at a time.
     """
@@ -36,11 +36,11 @@ class LocalEngine(ExitStack):
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on raw logs that had no room in the usual folder."""
+        """Remarks on raw logs of runs that had no room in the usual folder."""
         return self._scratch.remarks
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
-        """Start the fork server, open scratch folders, and check that the machine is free."""
+        """Start the server that forks processes, open temporary folders, check machine load."""
         solvers = list_solvers(jobs)
         if list_uncompiled_modules(list_kernel_modules(solvers)):
             progress.remark(COMPILING)
@@ -61,22 +61,22 @@ class LocalEngine(ExitStack):
             executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
     def capacity(self, *, timed: bool) -> int:
-        """Return how many batches to submit ahead: one of timed replays, else two per slot."""
+        """Return how many batches of runs to submit ahead: one if timed, else two per process."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
     def submit(self, batch: Batch) -> None:
-        """Start or queue a batch on the cores of this machine."""
+        """Start or queue a batch of runs on the cores of this machine."""
         keys = batch.source_keys if isinstance(batch, CellBatch) else []
         self._executor.submit(batch, {key: self._sources.path(key) for key in keys})
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for completed batches; yield each with its results."""
+        """Wait for completed batches of runs; yield each with its results."""
         return self._executor.wait_for_batches()
 
     def has_source(self, key: str, cell: Cell) -> bool:
-        """Return whether the source file behind a cell's QPs can be read to its end."""
+        """Return whether the file of a run's QPs can be read to its end."""
         return is_readable(cell, self._sources.path(key))
 
     def release_source(self, key: str) -> None:
-        """Delete a source file that no cell needs any more."""
+        """Delete a file of QPs that no run needs any more."""
         self._sources.remove(key)

@@ -32,7 +32,7 @@ from dpbench.temporary_folders import temporary_folder
 
 @dataclass(frozen=True)
 class WorkerInfo:
-    """Version, machine and rights of a cluster worker, which a campaign checks first."""
+    """A cluster worker's dpbench version and machine, and whether it may start processes."""
 
     harness_version: str
     may_start: bool
@@ -41,7 +41,7 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """Solver names and plug-in texts that all tasks of a campaign share.
+    """Solver names and plug-in source code that all cluster tasks of a campaign share.
 
     solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
@@ -52,7 +52,7 @@ class CampaignContext:
 
 @dataclass(frozen=True)
 class MadeFile:
-    """A file made on a worker: its outcome and its bytes, none where it failed."""
+    """A file made on a cluster worker: its outcome and its bytes, none where it failed."""
 
     outcome: Outcome
     data: bytes = b""
@@ -66,7 +66,7 @@ def worker_info() -> WorkerInfo:
 
 
 class TaskEndedError(DpbenchError):
-    """Raised in a task whose worker is being closed."""
+    """Raised in a cluster task whose worker is being closed."""
 
 
 _TASKS: set[int] = set()
@@ -76,7 +76,7 @@ _ENDING = threading.Lock()
 
 @contextmanager
 def _registered_task() -> Iterator[None]:
-    """Register the calling thread during the block, so that `end_tasks` can interrupt it."""
+    """Register the thread of a cluster task in the block, so that `end_tasks` can interrupt it."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -88,7 +88,7 @@ def _registered_task() -> Iterator[None]:
 
 
 def end_tasks() -> None:
-    """Interrupt all tasks of this process by raising `TaskEndedError` in their threads."""
+    """Interrupt all cluster tasks of this process by `TaskEndedError` in their threads."""
     with _ENDING:
         for thread in _TASKS:
             set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
@@ -104,7 +104,7 @@ def make_files(
     *,
     isolated: bool,
 ) -> dict[str, MadeFile]:
-    """Make files on one core of this worker; return each with its outcome, by path."""
+    """Make files on one core of this cluster worker; return each with its outcome, by path."""
     with lease_core() as core, _open_executor(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
@@ -117,7 +117,7 @@ def make_files(
 
 
 def return_file(made: MadeFile) -> MadeFile:
-    """Return `made`, so that a file of the campaign's machine becomes a task of the cluster."""
+    """Return `made` unchanged: a cluster task that carries a file of the campaign's machine."""
     return made
 
 
@@ -135,7 +135,7 @@ def run_cells(
     alone: bool,
     concurrency: int,
 ) -> list[Result]:
-    """Run a batch of cells on this worker and return their evaluated results.
+    """Do a batch of runs on this cluster worker and return their evaluated results.
 
     Parameters
     ----------
@@ -161,14 +161,14 @@ def run_cells(
 def _run_batch(
     executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
 ) -> Sequence[Result]:
-    """Run one batch on an executor and return its results."""
+    """Do one batch of runs on an executor and return their results."""
     executor.submit(batch, sources)
     ((_, results),) = executor.wait_for_batches()
     return results
 
 
 def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Yield a "lost" result for each cell whose solver has another version here than planned."""
+    """Yield a "lost" result for each run whose solver has another version here than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
@@ -188,7 +188,7 @@ def _find_library_identity(solver: str) -> str:
 
 @cache
 def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Return this worker's fork-server context, made once for each set of solvers."""
+    """Return the starter of this worker's processes, made once for each set of solvers."""
     return start_forkserver(solvers)
 
 
@@ -196,7 +196,7 @@ def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
 def _open_executor(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
-    """Open an executor with one slot on these cores, and a temporary folder for its files."""
+    """Open an executor of runs, one at a time, on these cores, and its temporary folder."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}

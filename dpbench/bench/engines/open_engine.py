@@ -19,7 +19,7 @@ def open_engine(
     tls: TlsFiles | None = None,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """Open the engine `name`, "local" or "dask", for one campaign.
+    """Open what does a campaign's runs: "local" processes, or the workers of a "dask" cluster.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def open_engine(
 
 
 def count_slots(jobs: int | None) -> int:
-    """Return `jobs`, or the number of this machine's cores for None; InputError beyond them."""
+    """Return how many runs to do at a time: `jobs`, or all cores for None; InputError if more."""
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
         raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")

@@ -39,7 +39,7 @@ MOST_SHARDS = 10_000
 
 @dataclass(frozen=True)
 class Shard:
-    """Part `index` (from 1) of `count` parts of a plan; InputError for impossible numbers."""
+    """Part `index` (from 1) of the `count` parts into which a suite's runs are divided."""
 
     index: int
     count: int
@@ -54,7 +54,7 @@ class Shard:
 
     @classmethod
     def from_text(cls, text: str | None) -> Shard:
-        """Return the shard of a text "i/n", the whole plan for None; InputError for other texts."""
+        """Return part i of n from a text "i/n", the whole for None; InputError for other texts."""
         if text is None:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
@@ -63,7 +63,7 @@ class Shard:
         return cls(*map(int, parts.groups()))
 
     def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
-        """Return the jobs of this shard, in order; parts have about equal work on every machine.
+        """Return the runs of this part of a suite, in order; all parts have about equal work.
 
         Cells of one source stay together as far as possible, as each part makes its own sources;
         replays of one sequence always do, as they are timed by turns.
@@ -92,12 +92,12 @@ WHOLE = Shard(1, 1)
 
 
 def _total_steps(jobs: list[CellJob]) -> int:
-    """Return the number of solver steps that some jobs take together."""
+    """Return the number of solver steps that some runs take together."""
     return sum(count_steps(job.cell) for job in jobs)
 
 
 def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Split jobs of one source into the smallest groups that must run in one shard."""
+    """Split runs on one file of QPs into the smallest groups that must stay on one machine."""
     units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
@@ -110,7 +110,7 @@ def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """Content of `shard.json`: request, shard, digest of the whole plan, machine and version."""
+    """Content of `shard.json`: what was asked, which part of it ran, machine and version."""
 
     asked: RunRequest
     shard: Shard

@@ -13,7 +13,7 @@ _SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
 
 
 class SourceFiles:
-    """The source files of one campaign, from which workers read QPs.
+    """The files of QPs of one campaign, which its workers read.
 
     `kept` are the keys of files that the result folder needs at the end of the campaign.
     """
@@ -22,16 +22,16 @@ class SourceFiles:
         self.folder, self._kept = folder, set(kept)
 
     def path(self, key: str) -> Path:
-        """Return the path of the source file with this key."""
+        """Return the path of the file of QPs with this hash key."""
         return self.folder / f"exact-{key}.npz"
 
     def remove(self, key: str) -> None:
-        """Delete the source file with this key, unless it is to be kept."""
+        """Delete the file of QPs with this key, unless it is to be kept."""
         if key not in self._kept:
             self.path(key).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Delete all source files but those to be kept, also those of an interrupted run."""
+        """Delete all files of QPs but those to be kept, also those of an interrupted campaign."""
         for path in self.folder.iterdir():
             own = _SOURCE.fullmatch(path.name)
             if own and own["key"] not in self._kept:
@@ -39,7 +39,7 @@ class SourceFiles:
 
 
 def read_source(cell: Cell, path: Path) -> MadeFile:
-    """Return the source file behind a cell's QPs as bytes, made here where it is missing."""
+    """Return the file of a run's QPs as bytes; make it where it is missing."""
     if not is_readable(cell, path):
         try:
             source_file(cell).make(path)

@@ -44,7 +44,7 @@ MOST_LOOP_TAIL = 15.0
 
 
 def caching_metrics(log: RawLog) -> dict[str, float]:
-    """Return how much slower first visits of steps are than later ones, a sign of cached answers.
+    """Return how much slower QPs are solved the first time than later, a sign of cached answers.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
     one, less the factor by which the reference kernel was slower around the first visits than at
@@ -71,7 +71,7 @@ def caching_metrics(log: RawLog) -> dict[str, float]:
 
 
 def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
-    """Return the share of slow first visits (K,) that later visits (R, K) do not explain."""
+    """Return the share of steps slow when first solved (K,) but not in later rounds (R, K)."""
     slow_first = np.count_nonzero(first > SLOW_VISIT * slower * later.min(axis=0))
     slow_later = 0
     for i, visits in enumerate(later):
@@ -81,7 +81,7 @@ def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) ->
 
 
 def _count_explained_visits(log: RawLog, r: int, later: Floats) -> int:
-    """Return how many slow first visits round r's involuntary context switches may explain."""
+    """Return how many slow steps in round r its involuntary context switches may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
@@ -92,7 +92,7 @@ def _count_explained_visits(log: RawLog, r: int, later: Floats) -> int:
 
 
 def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
-    """Return the times (R, K) of each step after its first visit in round r; inf for none."""
+    """Return the solve times (R, K) of each step in the rounds after round r; inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
     rounds = np.arange(r if log.attempts[r] > 1 else r + 1, len(log.done))
     rounds = rounds[log.done[rounds] > 0]
@@ -101,7 +101,7 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
 
 
 def _machine_slowdown(log: RawLog, r: int) -> float:
-    """Return how many times slower than at its best the machine was around round r."""
+    """Return how many times slower than at its best the machine was around replay round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
         return 1.0
@@ -114,7 +114,7 @@ def is_remembered(
     first_visit_excess: float = np.nan,
     loop_tail_ratio: float = np.nan,
 ) -> bool:
-    """Return whether replay times look like cached answers, by four ratios; NaN marks none."""
+    """Return whether a replay's times look like cached answers, by four ratios (NaN: unknown)."""
     return bool(
         first_visit_ratio > MOST_WARMING
         or loop_ratio > MOST_LOOP
@@ -127,7 +127,7 @@ _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 
 
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return runs with the ratios of closed-loop to replay step times, p50 and p90, as columns.
+    """Add columns to a table of runs: closed-loop over replay step time, at p50 and at p90.
 
     They are the median and the 90th percentile of the configuration's own closed loop over those of
     its replay; NaN without a loop in that scenario that finished without a failed step, as a solver

@@ -21,12 +21,12 @@ _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 
 
 def excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
-    """Return how much longer than its known wait a calibration configuration measures [ns]."""
+    """Return by how much a measured median exceeds the known wait of a dummy solver [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
 
 def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
-    """Return whether a calibration median is right; None where the true time is not known."""
+    """Return whether a dummy solver's measured median is right; None if its time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
     return abs(excess_over_wait_ns(configuration, p50_ns)) <= max(
@@ -36,14 +36,14 @@ def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Median step times of the calibration configurations [ns], and the machine's disturbance."""
+    """Median step times of dummy solvers of known duration [ns], and the machine's disturbance."""
 
     p50_ns: dict[str, float]
     disturbance: Disturbance
 
 
 def calibrate() -> Calibration:
-    """Time made-up QPs with every calibration configuration, on this process's last core."""
+    """Time made-up QPs with every dummy solver of known duration, on this process's last core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
@@ -59,7 +59,7 @@ def calibrate() -> Calibration:
 
 
 def _build_sequence() -> QPSequence:
-    """Return a sequence of made-up QPs, which calibration configurations do not solve."""
+    """Return a sequence of made-up QPs to time dummy solvers with, which do not solve them."""
     eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
     base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
     many = np.zeros((_STEPS, _SIZE))
@@ -67,7 +67,7 @@ def _build_sequence() -> QPSequence:
 
 
 def _replay_configuration(name: str) -> tuple[float, Disturbance]:
-    """Replay made-up QPs with one configuration; return its median step [ns] and disturbance."""
+    """Replay made-up QPs with a dummy solver; return its median step time [ns] and disturbance."""
     steps, timed_solver, log = replay_parts(
         _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )

@@ -62,7 +62,7 @@ _SOLVE = PHASES.index("solve")
 
 @dataclass(frozen=True, eq=False)
 class AppliedForces:
-    """Run, QP builder, columns and thruster forces (K, n_f) that control metrics are made from."""
+    """Scenario, QPs, step columns and thruster forces (K, n_f), for control metrics of a run."""
 
     scenario: Scenario
     builder: QPBuilder
@@ -83,7 +83,7 @@ METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedCell:
-    """Evaluated steps of one cell as columns, and the metrics of its run."""
+    """Evaluated steps of one run as columns, and the metrics of the run."""
 
     columns: Columns
     metrics: dict[str, float]
@@ -106,14 +106,14 @@ class StepEvaluator:
         self._evaluated: list[Matrix] = []
 
     def switch_matrices(self, step: QPStep, own: QPStep) -> None:
-        """Switch to the matrices of a step where it has new ones."""
+        """Switch to the QP matrices of a step where it has new ones."""
         if self._scaled.changed_by(step):
             self._evaluate_queue()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 
     def certify(self, step: QPStep) -> Optimum:
-        """Return the certified optimum of a step, in scaled units."""
+        """Return the certified optimum of a step's QP, in scaled units."""
         if self._referee is None:
             qp = self._scaled
             self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
@@ -131,7 +131,7 @@ class StepEvaluator:
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
     def _evaluate_queue(self) -> None:
-        """Compute residuals, errors and truth of all queued answers to QPs of the same matrices."""
+        """Compute residuals, errors and correctness of all queued answers, of equal matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
@@ -161,19 +161,19 @@ class StepEvaluator:
     def _add_multipliers(
         self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
     ) -> None:
-        """Fill in best-fitting multipliers where a solver returned none."""
+        """Fill in best-fitting Lagrange multipliers, in place, where a solver returned none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
             y[i], y_box[i] = fit_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
-    """Return one attribute of several objects as rows of an array."""
+    """Stack one array attribute of several objects as the rows of a matrix."""
     return np.array([getattr(part, name) for part in parts])
 
 
 def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the vectors q (K, n), l (K, m) and u (K, m) of K steps."""
+    """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps."""
     return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
@@ -187,12 +187,12 @@ def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
-    """Return the answer of round r, step k from a raw log, in the solver's own units."""
+    """Return a solver's answer of round r, step k from a raw log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
-    """Return the evaluated steps and control metrics of a closed loop from its raw log."""
+    """Evaluate a closed loop's raw log; return its step columns and control metrics."""
     scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
@@ -231,7 +231,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
 def _rebuild_controller_steps(
     scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> tuple[StepEvaluator, RebuildStep]:
-    """Return an evaluator for a controller's QPs, and a function that rebuilds them from θ."""
+    """Return an evaluator of a controller's QPs, and a function that rebuilds each step's QP."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
 
@@ -245,7 +245,7 @@ def _rebuild_controller_steps(
 def _allocation_columns(
     scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> Columns:
-    """Return a cascade's undelivered share of force, and the columns of its allocation QPs."""
+    """Return, of a loop with thrust allocation, the undelivered force and allocation columns."""
     if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
@@ -269,7 +269,7 @@ def _allocation_columns(
 
 
 def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
-    """Return the columns of the backup solver: its answers, whether and when they acted."""
+    """Return the backup solver's step columns: its answers, whether and when they were applied."""
     answers = log.backup
     if answers is None:
         return {}
@@ -287,7 +287,7 @@ def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
 def _evaluate_steps(
     answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
-    """Return evaluated columns of the `asked` steps (K,), and how many brought new matrices."""
+    """Evaluate a solver's answers in the `asked` steps (K,); count steps with new matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
     certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0
@@ -309,7 +309,7 @@ def common_columns(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """Return the columns that loops and replays share, for the recorded steps of `rounds`."""
+    """Return times, status, iterations and errors of the recorded steps of `rounds`, as columns."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]

@@ -106,14 +106,14 @@ def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) ->
 
 
 def _overshoot(error: Vector) -> float:
-    """Return the largest error of opposite sign to the first one; NaN if that is 0."""
+    """Return the overshoot: the largest error of opposite sign to the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
 def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
-    """Return ½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+    """Return the quadratic control cost of K steps: pose error, input change, thruster input."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
     problem = scenario.problem

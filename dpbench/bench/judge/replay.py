@@ -30,7 +30,7 @@ def evaluate_sequence(
     *,
     judged: bool = True,
 ) -> EvaluatedCell:
-    """Return the evaluated steps and metrics of a replay from its raw log.
+    """Evaluate a replay's raw log; return its step columns and metrics.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def evaluate_sequence(
 
 
 def _find_recorded_steps(log: RawLog) -> Flags:
-    """Return a mask (R, K) of the steps that each round has recorded."""
+    """Return a mask (R, K) of the steps that each round of a replay has recorded."""
     recorded: Flags = np.arange(log.z.shape[1]) < log.done[:, np.newaxis]
     return recorded
 
@@ -65,7 +65,7 @@ def _find_recorded_steps(log: RawLog) -> Flags:
 def _evaluate_rounds(
     log: RawLog, own: QPSequence, units: Units, optima: Sequence[Optimum] | None
 ) -> tuple[Floats, NDArray[np.int8]]:
-    """Return errors and certificates of the answers of all rounds, one round after another."""
+    """Evaluate a replay's answers; return errors and kinds of optimum proof, round after round."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     evaluator = StepEvaluator(scaled.base, own.base, units)
     recorded, added = _find_recorded_steps(log), 0
@@ -90,7 +90,7 @@ def _evaluate_rounds(
 
 
 def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
-    """Return how equal the answers and iterations of a replay are over all its rounds.
+    """Return how equal a solver's answers and iterations are over all rounds of a replay.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from dpbench.solvers.table import Availability
 
 
 def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
-    """Return the rows of `steps.parquet` of one cell."""
+    """Return the step columns of one run as rows of `steps.parquet`."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
@@ -36,7 +36,7 @@ def run_row(
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """Return the row of `runs.parquet` of one cell; without steps only what identifies the cell."""
+    """Return the row of one run in `runs.parquet`; without steps only what identifies the run."""
     row: dict[str, Any] = {
         "run_id": run_id,
         "mode": cell.mode,
@@ -96,7 +96,7 @@ def _deadline_s(cell: Cell) -> float:
 
 
 def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Return horizons and QP size of a cell; null where there are none."""
+    """Return horizons and QP size of a run; null where there are none."""
     scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
@@ -109,7 +109,7 @@ def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
 
 
 def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return claims, true answers, errors and iterations over the steps that count."""
+    """Return the shares of claimed and of correct answers, errors and iterations of a run."""
     known, undecided = rules.decided_steps(steps), steps["certificate"] == rules.UNDECIDED
     charged = rules.select_rows(steps, ~undecided)
     moves = rules.first_move_errors(charged)
@@ -136,7 +136,7 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return the largest errors and the failed steps over all rounds, warm-up included."""
+    """Return a run's largest errors and number of failed steps, of all rounds with warm-up."""
     charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
         "error_move_max": rules.largest_known(rules.first_move_errors(charged)),
@@ -167,7 +167,7 @@ def _backup_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return how often the fallback acted, its longest run, and the steps to recover."""
+    """Return how often the fallback acted, its longest streak, and the steps to recover."""
     failed = steps["fallback"]
     recovered = timing.steps_to_recover(failed, steps["true"])
     return {

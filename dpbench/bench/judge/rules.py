@@ -41,7 +41,7 @@ _NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
 def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
-    """Return whether a replay's times may be compared with others of the result folder.
+    """Return whether a replay's times may be compared with those of other replays in the folder.
 
     They are taken one cell at a time, on the machine of the result folder.
 
@@ -54,7 +54,7 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
 
 
 def explained_late_timings(switches: float, timed_share: float) -> int:
-    """Return how many late timings involuntary context switches may explain.
+    """Return how many late step times involuntary context switches may explain.
 
     A switch comes at any moment of the process's own time. A process gets at least a quarter of a
     core, so at most four times `timed_share` of that time is spent in timed calls. Three standard
@@ -70,7 +70,7 @@ def explained_late_timings(switches: float, timed_share: float) -> int:
 
 
 def is_disturbed(reference_kernel_ns: Floats) -> Flags:
-    """Return a mask (R,) of rounds in which the reference kernel was slowed too much.
+    """Return a mask (R,) of the replay rounds in which the machine-speed test ran too slowly.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ def is_disturbed(reference_kernel_ns: Floats) -> Flags:
 
 
 def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> NDArray[np.int32]:
-    """Return those of `rounds` (R,) in which the reference kernel was slowed too much."""
+    """Return those replay `rounds` (R,) in which the machine-speed test ran too slowly."""
     return rounds[is_disturbed(reference_kernel_ns)]
 
 
 def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
-    """Return a mask (N,) of replay rows that count: no warm-up, and no disturbed round.
+    """Return a mask (N,) of replay steps that count: no warm-up, and no disturbed round.
 
     Where every round is disturbed all of them count but the warm-up.
 
@@ -138,7 +138,7 @@ def decided_steps(steps: Steps) -> Flags:
 
 
 def failed_steps(steps: Steps) -> Flags:
-    """Return a mask (N,) of steps with a fallback though an answer exists, or unfinished.
+    """Return a mask (N,) of steps whose answer is unusable or unfinished, though one exists.
 
     A QP without a feasible point has no answer; an iterate that is given all the same fails. A step
     that is undecided at rounding never does.
@@ -149,7 +149,7 @@ def failed_steps(steps: Steps) -> Flags:
 
 
 def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
-    """Return the steps that have an answer to evaluate, late ones on a slow computer too."""
+    """Return the step columns of those steps that have a solver's answer, also a late one."""
     if slowdown == 0.0:
         return steps
     answered = select_rows(steps, steps["total_ns"] > MISSING_INT)
@@ -157,17 +157,17 @@ def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
 
 
 def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
-    """Return the columns reduced to the rows of a mask (N,)."""
+    """Return step columns reduced to the rows of a mask (N,)."""
     return {name: column[rows] for name, column in steps.items()}
 
 
 def claimed_not_true(steps: Steps) -> Flags:
-    """Return a mask (N,) of steps that the solver claims solved and the referee finds wrong."""
+    """Return a mask (N,) of steps the solver claims solved though its answer is proven wrong."""
     return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided_steps(steps)
 
 
 def true_not_claimed(steps: Steps) -> Flags:
-    """Return a mask (N,) of steps with a true optimum that the solver did not claim."""
+    """Return a mask (N,) of steps whose answer is optimal though the solver does not claim so."""
     said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
     return (
         _flag_column(steps, "true")
@@ -201,7 +201,7 @@ def first_move_errors(steps: Steps) -> Floats:
 
 
 def _flag_column(steps: Steps, name: str) -> Flags:
-    """Return a column of steps as a Boolean array (N,)."""
+    """Return a column of a table of steps as a Boolean array (N,)."""
     return np.asarray(steps[name], dtype=np.bool_)
 
 

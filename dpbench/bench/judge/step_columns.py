@@ -38,7 +38,7 @@ _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
 def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
-    """Return the columns of `steps.parquet` for the recorded steps of a cell."""
+    """Return the columns of `steps.parquet` for the recorded steps of a run."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _answer_columns(columns, asked)
@@ -69,13 +69,13 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
 
 
 def _select_prefix(columns: Columns, prefix: str) -> Columns:
-    """Return the columns whose names have a prefix, under names without it."""
+    """Return the step columns whose names have a prefix, under names without it."""
     names = [name for name in columns if name.startswith(prefix)]
     return {name.removeprefix(prefix): columns[name] for name in names}
 
 
 def _backup_columns(columns: Columns) -> StepColumns:
-    """Return whether the backup acted or failed in each step, its time and error."""
+    """Return whether the backup solver acted or failed in each step, its time and error."""
     own = _select_prefix(columns, BACKUP_PREFIX)
     if not own:
         return {}
@@ -113,7 +113,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
 
 
 def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Return the columns of a cascade's steps from those of its two QPs, K rows each.
+    """Join the step columns of a cascade's two QPs, control and thrust allocation, into one set.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no
@@ -138,7 +138,7 @@ def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
 
 
 def _as_integers(values: NDArray[Any]) -> Ints:
-    """Return values as int64, where everything below `MISSING_INT` becomes that."""
+    """Return values as int64, with `MISSING_INT` (−1) as the least."""
     return np.maximum(values.astype(np.int64), MISSING_INT)
 
 
@@ -155,7 +155,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
 
 
 def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """Return each step's time (N,), a cascade's second QP included; −1 without a phase."""
+    """Return each step's solver time [ns] (N,), thrust allocation included; −1 if not solved."""
     phases = [steps[phase] for phase in SOLVER_COLUMNS]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
     total = np.zeros(len(phases[0]), dtype=np.int64)

@@ -20,7 +20,7 @@ PUSHING = 0.01
 
 
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
-    """Return Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 (K,) of f (K, n_f), if thrusters are commanded."""
+    """Return the used shares of full thrust and power (K,) from thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     if control is None:
         return {}
@@ -55,7 +55,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
 
 
 def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
-    """Return how far azimuths turned while pushing [°], and how often others reversed."""
+    """Return how far azimuth thrusters turned [°], and how often fixed thrusters reversed."""
     turned, reversals = 0.0, 0
     parts = zip(control.thrusters.thrusters, control.thrusters.slices, strict=True)
     for thruster, at in parts:
@@ -74,7 +74,7 @@ def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tupl
 def _count_at_limits(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Return the share of steps with a thruster at its limit, and the steps beyond one.
+    """Return the share of steps with a thruster at its limit, and how many violate a limit.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """

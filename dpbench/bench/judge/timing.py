@@ -18,7 +18,7 @@ Steps = Mapping[str, NDArray[Any]]
 
 
 def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dict[str, Any]:
-    """Return the percentiles of step times, raw and best of rounds, over the steps that count."""
+    """Return percentiles of a run's step times, of all samples and of each step's best round."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
     second = f"{SECOND_QP_PREFIX}setup_once_ns"
@@ -59,7 +59,7 @@ def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dic
 
 
 def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """Return the rounds (R,), and values (R, K) by round and step; NaN for a missing step."""
+    """Arrange values of steps by replay round and step (R, K), NaN if missing; and the rounds."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -68,7 +68,7 @@ def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32]
 
 
 def _cascade_times(counting: Steps) -> dict[str, float]:
-    """Return the percentiles of both QPs' times in a cascade; none for other loops."""
+    """Return percentiles of a cascade's control and thrust-allocation QP times; else none."""
     if "allocation_ns" not in counting:
         return {}
     second = counting["allocation_ns"].astype(np.float64)
@@ -81,14 +81,14 @@ def _cascade_times(counting: Steps) -> dict[str, float]:
 
 
 def reference_kernel_median(columns: Columns) -> float:
-    """Return the median over rounds of the better reference kernel time [ns]."""
+    """Return the machine-speed test's time [ns]: the better of each round, median over rounds."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
     return median_known(best[np.isfinite(best)])
 
 
 def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """Return the load kernel time [ns]: minimum over counting rounds, mean over passes."""
+    """Return the machine-load test's time [ns]: minimum over rounds, mean over repetitions."""
     rounds = np.unique(columns["repeat"])
     passes = columns["load_kernel_ns"].astype(np.float64)[np.isin(rounds, counting)]
     passes = np.where(passes > 0, passes, np.nan)
@@ -97,7 +97,7 @@ def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
 
 
 def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
-    """Return the disturbed rounds of an evaluated replay, by its reference kernel times."""
+    """Return the rounds of a replay in which the machine-speed test ran too slowly."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
     return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
 
@@ -105,7 +105,7 @@ def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
 def deadline_columns(
     delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
 ) -> dict[str, NDArray[Any]]:
-    """Return whether each step (K,) of a loop was late, and its latency on a slow computer [ns]."""
+    """Return whether each step (K,) of a loop missed its deadline, and simulated latency [ns]."""
     if not delay.is_simulated:
         return {"late": total_ns > delay.budget_ns}
     idle = latency_ns < 0
@@ -114,13 +114,13 @@ def deadline_columns(
 
 
 def longest_streak(flags: Flags) -> int:
-    """Return the length of the longest run of true entries."""
+    """Return the length of the longest streak of true entries."""
     starts, ends = _find_true_runs(flags)
     return int((ends - starts).max()) if len(starts) else 0
 
 
 def steps_to_recover(bad: Flags, good: Flags) -> int | None:
-    """Return the most steps from the start of a bad run to a good step; None if never."""
+    """Return the most steps from the start of a bad streak to a good step; None if never."""
     starts, _ = _find_true_runs(bad)
     good_at = np.flatnonzero(good)
     after = np.searchsorted(good_at, starts)
@@ -131,13 +131,13 @@ def steps_to_recover(bad: Flags, good: Flags) -> int | None:
 
 
 def _find_true_runs(flags: Flags) -> tuple[Ints, Ints]:
-    """Return the first index of each run of true entries, and the index after its last."""
+    """Return the first index of each streak of true entries, and the index after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return edges[::2], edges[1::2]
 
 
 def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
-    """Return deadline misses, longest streak, recovery and latencies of a closed loop."""
+    """Return a closed loop's deadline misses, their longest streak, recovery and latencies."""
     late, true = steps["late"], steps["true"]
     recovered = steps_to_recover(late, true & ~late)
     total = _drop_missing(steps["total_ns"])
@@ -156,5 +156,5 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 
 def _drop_missing(times_ns: Ints) -> Floats:
-    """Return the times that are not `MISSING_INT`, as floats [ns]."""
+    """Return the times that are not missing, as floats [ns]."""
     return times_ns[times_ns > MISSING_INT].astype(np.float64)

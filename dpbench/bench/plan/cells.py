@@ -48,7 +48,7 @@ NO_MODEL = "sparse: there is no model whose states to keep"
 
 @dataclass(frozen=True)
 class PlannedCell:
-    """A cell to run, or with a reason to refuse it, which gives a row without running.
+    """A planned run of one solver on one problem, or the reason why it is refused.
 
     `alias_settings` are further names of the same settings, shown as rows of their own.
     """
@@ -66,7 +66,7 @@ def plan_cell(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
-    """Return the cell of one configuration of a suite table, or why it is refused.
+    """Return the planned run of one solver configuration of a suite table, refused or not.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def replay_cells(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """Return the replay cells of `steps` QPs, one for each configuration of a suite table.
+    """Plan replays of `steps` QPs, one for each solver configuration of a suite table.
 
     Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
     share of the budgets of its stretch, and a short warm-up.
@@ -135,14 +135,14 @@ def replay_cells(
 
 
 def _intended_wait_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
-    """Return how long a calibration configuration waits on purpose [s]; 0 for solvers."""
+    """Return how long a dummy solver of known duration waits on purpose [s]; 0 for real ones."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return the replay cells of all recorded sequences that a suite names.
+    """Plan the replays of all recorded sequences of QPs that a suite names.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def recorded_cells(
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """Return the cells that solve a capability plot's QPs; InputError without thrusters or hull."""
+    """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
     files = read_vessel_documents(table.vessel, beside=beside)
     cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
@@ -187,13 +187,13 @@ def capability_cells(
 
 
 def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
-    """Return the planned cell, refused if its solver needs P > 0."""
+    """Return a planned run, marked as refused if its solver needs P > 0 in the QP's cost."""
     needs = find_record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
-    """Return the cells that solve the random sequences of a suite table."""
+    """Plan the runs that solve the random QPs of a suite table."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})

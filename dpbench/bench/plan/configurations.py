@@ -58,7 +58,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
 
 
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
-    """Return the solvers that a key of the suite names; UnknownNameError with that key."""
+    """Return the solvers that an entry of the suite names; UnknownNameError, naming the entry."""
     try:
         return _expand_names(names)
     except UnknownNameError as error:
@@ -77,7 +77,7 @@ def _expand_names(names: Sequence[str]) -> list[str]:
 
 
 def _is_default_solver(solver: str) -> bool:
-    """Return whether "all" includes a solver: no optional extra, or that is installed."""
+    """Return whether "all solvers" includes one: it is no optional extra, or is installed."""
     return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 
@@ -100,20 +100,20 @@ def check_backup(name: str) -> tuple[str, str]:
 
 
 def library_identity(cell: Cell, library: Availability) -> str:
-    """Return version and build of the libraries of a cell's solver and backup solver."""
+    """Return version and build of the libraries of a run's solver and backup solver."""
     if not cell.backup:
         return library.identity
     return f"{library.identity}, backup {check_availability(cell.backup).identity}"
 
 
 def plugin_file(solver: str) -> str:
-    """Return the plug-in file that a worker loads to have a solver; "" for other solvers."""
+    """Return the Python plug-in file that a solver is loaded from; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
 def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
-    """Return all configurations of a suite table: solver, route, policy, settings, units, form.
+    """Return each solver of a suite table in every way to call it: settings, units, QP form.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
     have one call mode, whatever the table has, and take part in timed replays alone.
@@ -160,7 +160,7 @@ def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
 
 
 def find_refusal(configuration: Configuration) -> str:
-    """Return why a configuration cannot run on this machine; "" where it can."""
+    """Return why a solver configuration cannot run on this machine; "" where it can."""
     here = check_availability(configuration.solver)
     if not here.ok:
         return here.reason

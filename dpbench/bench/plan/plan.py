@@ -36,7 +36,7 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[PlannedCell]:
-    """Return all cells of a suite in the order they run.
+    """Return all planned runs of a suite in the order they run.
 
     Paths of scenarios and sequences are relative to `beside`, the folder of the suite. A choice of
     `scenarios` leaves out all that have no scenario.
@@ -92,7 +92,7 @@ def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
 def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """Return each replayed scenario under the other horizons that replay tables name."""
+    """Return each replayed scenario with the other MPC horizons that the suite names."""
     asked = {
         (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
     }
@@ -100,7 +100,7 @@ def _load_horizon_variants(
 
 
 def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Return each cell once; equal cells are merged with all names of their settings."""
+    """Return each planned run once; equal ones are merged with all names of their settings."""
     once: dict[str, PlannedCell] = {}
     for planned in cells:
         key = planned.cell.key
@@ -114,7 +114,7 @@ def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return the closed-loop cells of a scenario, one for each configuration and slow-down."""
+    """Plan the closed loops of a scenario, one per solver configuration and computer slow-down."""
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
@@ -153,7 +153,7 @@ def _closed_loop_cells(
 def _replay_cells(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return the replay cells of a scenario's reference loop, of a window or of failures."""
+    """Plan replays of a scenario's QPs: along the exact loop, its hardest steps, or failures."""
     if table.first >= scenario.steps:
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
@@ -183,7 +183,7 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """Raise InputError where a table's window of hardest steps is impossible."""
+    """Raise InputError where a suite table asks for an impossible window of hardest steps."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
@@ -209,7 +209,7 @@ def _consequence_cells(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """Return the consequence-analysis cells of each failure group of a scenario's ship."""
+    """Plan the consequence-analysis replays of each failure group of a scenario's ship."""
     thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"

@@ -28,7 +28,7 @@ from dpbench.solvers.table import load_solver_module
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All cells that a request means, with the suite they come from.
+    """All planned runs that a user's request means, with the suite they come from.
 
     `document` is the requested content of the suite; `part` tells whether it is less than all.
     """
@@ -41,7 +41,7 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the descriptions of all cells, by which plans are compared."""
+        """Hash of the descriptions of all planned runs, by which plans are compared."""
         digest, separator = hashlib.sha256(), b""
         # One by one: all texts joined would take as much memory again.
         for text in sorted(planned.cell.to_json() for planned in self.cells):
@@ -63,7 +63,7 @@ class RunRequest:
     solver_module: str | None = None
 
     def plan(self) -> Plan:
-        """Return the plan of all requested cells; InputError for what cannot be run."""
+        """Return the plan of all requested runs; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
         name, path, document = self._load_suite()
@@ -165,7 +165,7 @@ def _copy_with(model: Model, **update: object) -> Model:
 
 
 def list_plan_limits(planned: Sequence[PlannedCell]) -> list[str]:
-    """Return remarks on what a plan cannot measure, such as a p99 with too few steps."""
+    """Return remarks on what the planned runs cannot measure, such as a p99 with few steps."""
     cells = [p.cell for p in planned if p.cell.is_timed]
     lengths = [cell.steps for cell in cells]
     if lengths and not supports_percentile(max(lengths), 99):

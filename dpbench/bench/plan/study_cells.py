@@ -22,7 +22,7 @@ from dpbench.scenario.variation import (
 
 
 def study_cells(suite: SuiteFile, solvers: Sequence[str], beside: Path | None) -> list[PlannedCell]:
-    """Return the closed-loop cells of a suite's studies; InputError for a key without effect."""
+    """Plan the closed loops of a suite's studies; InputError for a parameter without effect."""
     cells: list[PlannedCell] = []
     titles = [table.title for table in suite.study]
     for table in suite.study:
@@ -42,7 +42,7 @@ def _plan_study(
     solvers: Sequence[str],
     beside: Path | None,
 ) -> list[PlannedCell]:
-    """Return the cells of one study: each point with each configuration."""
+    """Plan the closed loops of one study: each parameter point with each solver configuration."""
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: read_value(base, key, where) for key in keys}
@@ -61,7 +61,7 @@ def _plan_study(
 def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return a cell for each configuration in the unchanged base scenario of a study."""
+    """Plan a run for each solver configuration in a study's unchanged base scenario."""
     calls = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [
@@ -87,7 +87,7 @@ def _plan_base_cells(
 def _cell_at_point(
     blank: PlannedCell, table: StudyTable, point: StudyPoint, files: ScenarioDocuments, steps: int
 ) -> PlannedCell:
-    """Return a base cell changed to the scenario documents of one study point."""
+    """Return a planned base run changed to the scenario of one study point."""
     cell = replace(
         blank.cell,
         scenario=files,
@@ -117,21 +117,21 @@ class _ScenarioCache:
         return replace_document_values(known.files, point.of_replicate, self._where), known.steps
 
     def build(self, values: Point) -> Scenario:
-        """Return the base scenario with the values of some keys replaced."""
+        """Return a study's base scenario with the values of some parameters replaced."""
         if values != self._values:
             self._scenario = replace_values(self._base, values, self._where, beside=self._beside)
             self._values = values
         return self._scenario
 
     def try_build(self, values: Point) -> Scenario | None:
-        """Return the base scenario with some values replaced; None where they are invalid."""
+        """Return a study's base scenario with some values replaced; None if they are invalid."""
         try:
             return self.build(values)
         except InputError:
             return None
 
     def refuse_key(self, key: str, steps: int) -> None:
-        """Raise InputError for a key that changes nothing in the first `steps` steps."""
+        """Raise InputError that a study parameter changes nothing in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.is_random:
@@ -143,7 +143,7 @@ class _ScenarioCache:
 def _refuse_idle_keys(
     table: StudyTable, points: Sequence[StudyPoint], scenarios: _ScenarioCache
 ) -> None:
-    """Raise InputError for a study key whose values make no difference to a run.
+    """Raise InputError for a study parameter whose values make no difference to a run.
 
     It is tried at the first point and at the last one, as a seed has no effect in a calm sea.
     """
@@ -168,7 +168,7 @@ def _may_differ(one: Scenario | None, other: Scenario | None, steps: int) -> boo
 
 
 def _pick_two_values(key: str, points: Sequence[StudyPoint]) -> list[object]:
-    """Return the first value of a key in the points, and the first other one if any."""
+    """Return a parameter's first value in the study points, and the first other one if any."""
     first = points[0].values[key]
     other = next((p.values[key] for p in points if p.values[key] != first), None)
     return [first] if other is None else [first, other]

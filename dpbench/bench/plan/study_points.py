@@ -32,7 +32,7 @@ RouteName = Literal["default", "qpsolvers", "native"]
 
 
 class RunsTable(FileModel):
-    """Settings, routes and policies of the solvers in one table of a suite."""
+    """How a suite table calls its solvers: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
     """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""
@@ -43,7 +43,7 @@ class RunsTable(FileModel):
 
 
 class ReplicatesTable(FileModel):
-    """Repetitions of each study point under other values of one key, by default other seas."""
+    """Repetitions of each study point with other values of one parameter, by default the sea."""
 
     key: str = "environment.seed"
     """Dotted name of the key that tells replicates apart."""
@@ -54,7 +54,7 @@ class ReplicatesTable(FileModel):
 
 
 class DesignOfPointsTable(FileModel):
-    """Study points drawn from ranges of keys, spread evenly by a low-discrepancy sequence."""
+    """Study points drawn evenly from ranges of parameters, by Sobol or Latin hypercube."""
 
     kind: Literal["sobol", "latin_hypercube"]
     """sobol: a scrambled Sobol sequence; latin_hypercube: a Latin hypercube sample."""
@@ -76,7 +76,7 @@ class DesignOfPointsTable(FileModel):
         return self
 
     def draw_points(self) -> Matrix:
-        """Return the drawn points (points, keys), in the units of the scenario file."""
+        """Return drawn parameter values (points, parameters), in the scenario file's units."""
         # A campaign that draws nothing starts half a second sooner, and 40 MB smaller, without.
         from scipy.stats import qmc
 
@@ -92,7 +92,7 @@ class DesignOfPointsTable(FileModel):
 
 
 class StudyTable(RunsTable):
-    """A study of a suite: closed loops of one scenario at many points of its keys, in many seas.
+    """A study of a suite: closed loops of one scenario with many parameter values and seas.
 
     A key is named with dots: environment.wind.speed_mps, start.east_m, vessel (a ship by name),
     vessel.length_m. Solvers, routes, policies and settings are as in a closed loop.
@@ -119,7 +119,7 @@ class StudyTable(RunsTable):
 
     @model_validator(mode="after")
     def _check_keys(self) -> StudyTable:
-        """Raise ValueError for keys that appear twice, or `zip` lists of unequal length."""
+        """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:
             raise ValueError("as many values of each key in zip")
@@ -138,14 +138,14 @@ class StudyTable(RunsTable):
 
     @property
     def keys(self) -> list[str]:
-        """Dotted names of all keys whose values differ from point to point."""
+        """Dotted names of all scenario parameters that a study varies."""
         drawn = [] if self.design is None else list(self.design.ranges)
         return [*self.product, *self.zip, *drawn]
 
 
 @dataclass(frozen=True)
 class StudyPoint:
-    """One point and replicate of a study, which every configuration runs once.
+    """One parameter point and repetition of a study, which every solver configuration runs once.
 
     `values` are those of its keys, `of_replicate` that of the key that tells replicates apart.
     """
@@ -157,7 +157,7 @@ class StudyPoint:
 
 
 def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
-    """Return all points of a study, each with all its replicates.
+    """Return all parameter points of a study, each with all its repetitions.
 
     Draws are rounded where the base scenario's `own` value of the key is a whole number.
     """
@@ -182,6 +182,6 @@ def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint
 
 
 def _round_whole_numbers(drawn: Point, own: Mapping[str, object]) -> Point:
-    """Return drawn values, rounded where the scenario's own value is a whole number."""
+    """Return drawn parameter values, rounded where the scenario's own is a whole number."""
     whole = {key for key in drawn if isinstance(own.get(key), int)}
     return {key: round(value) if key in whole else value for key, value in drawn.items()}

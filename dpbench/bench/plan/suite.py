@@ -25,14 +25,14 @@ FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 def _check_slowdown(value: float) -> float:
-    """Return a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
+    """Check a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
 def _check_fallback(name: str) -> str:
-    """Return the name of a fallback policy; ValueError for an unknown one."""
+    """Check the name of a policy for steps without an answer; ValueError for an unknown one."""
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
@@ -126,12 +126,12 @@ class ReplayTable(RunsTable):
 
     @property
     def horizon_pairs(self) -> list[Horizons | None]:
-        """Pairs of horizons to replay under; None for those of the tuning."""
+        """Pairs of MPC horizons (N_p, N_c) to replay under; None for the controller's own."""
         return [parse_horizons(text) for text in self.horizons] or [None]
 
 
 class RandomTable(RunsTable):
-    """Random QPs of a suite, each with a planted optimum: families × sizes × seeds.
+    """Random QPs of a suite, built from a known optimum: each family, size and seed.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
@@ -152,7 +152,7 @@ class RandomTable(RunsTable):
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
     def list_recipes(self) -> list[RandomRecipe]:
-        """Return the recipes of all random sequences; InputError for an impossible one."""
+        """Return family, size and seed of all random sequences of QPs; InputError if impossible."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
             for family in self.families
@@ -199,7 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """Settings of the report of a suite: its baseline and the step it shows first."""
+    """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -210,7 +210,7 @@ class ReportTable(FileModel):
 
 
 class SuiteFile(FileModel):
-    """Content of a suite, `problems/suites/*.toml`; 0 steps means all steps.
+    """Content of a suite, a TOML file of solvers and what they run; 0 steps means all steps.
 
     A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
@@ -259,7 +259,7 @@ class SuiteFile(FileModel):
 
     @classmethod
     def list_cell_tables(cls) -> list[str]:
-        """Return the names of the suite's tables that become cells."""
+        """Return the names of the suite's tables that become runs."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
@@ -314,7 +314,7 @@ _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
 
 def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
-    """Return a suite that replays one sequence through every solver.
+    """Build a suite that replays one sequence of QPs through every solver.
 
     A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
     another route or policy has other iterations, or none.
@@ -336,7 +336,7 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
 
 
 def _read_worst_case_step(meta: Mapping[str, object]) -> ReportTable:
-    """Return a report table with the worst-case step noted in a sequence; empty without one."""
+    """Return report settings that show the worst-case step noted in a sequence of QPs, if any."""
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()

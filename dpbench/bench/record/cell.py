@@ -24,7 +24,7 @@ from dpbench.solvers.contract import Policy, Route
 
 @dataclass(frozen=True)
 class QPSource:
-    """A source of a replay's QPs; `name` is that of the replayed sequence.
+    """Where a replay's QPs come from; `name` is that of the replayed sequence.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class QPSource:
     name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the source as a JSON object; empty where the QPs are the controller's own."""
+        """Return the origin of the QPs as a JSON object; empty for the controller's own QPs."""
         return {"kind": self.kind, **asdict(self)} if self.kind else {}
 
     def count_stretch_steps(self, steps: int) -> int:
-        """Return how many steps of its loop or sequence a replay of `steps` is chosen from."""
+        """Return how many steps of its closed loop a replay of `steps` steps is chosen from."""
         return steps
 
 
@@ -58,7 +58,7 @@ class ControllerSource(QPSource):
 
 @dataclass(frozen=True)
 class HardestSource(QPSource):
-    """The hardest consecutive QPs among `of` steps of the exactly solved loop."""
+    """The hardest consecutive QPs of a controller, among `of` steps of its exactly solved loop."""
 
     kind = "hardest"
     is_of_controller = True
@@ -66,13 +66,13 @@ class HardestSource(QPSource):
     of: int = 0
 
     def count_stretch_steps(self, steps: int) -> int:
-        """Return how many steps the hardest ones are chosen from."""
+        """Return how many steps of the loop the hardest ones are chosen from."""
         return self.of
 
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """Consequence-analysis QPs along the exactly solved loop: the failure group `group` lost."""
+    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`."""
 
     kind = "consequence"
     is_judged = False
@@ -94,7 +94,7 @@ class CapabilitySource(QPSource):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomSource(QPSource):
-    """QPs of a random sequence, made from a recipe."""
+    """Random QPs, generated from family, size and seed."""
 
     kind = "random"
     is_timed = is_judged = False
@@ -103,13 +103,13 @@ class RandomSource(QPSource):
 
     @classmethod
     def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
-        """Return the source of a random recipe, named after it."""
+        """Return the origin of random QPs from their family, size and seed, named after these."""
         return cls(name=recipe.name, recipe=recipe)
 
 
 @dataclass(frozen=True)
 class RecordedSource(QPSource):
-    """QPs of a recorded file or folder, identified by its SHA-256."""
+    """QPs read from a recorded file or folder, identified by its SHA-256."""
 
     kind = "recorded"
 
@@ -123,7 +123,7 @@ SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KIND
 
 
 def parse_source(values: Mapping[str, Any]) -> QPSource:
-    """Return the QP source that a JSON object describes; InputError or ValidationError if bad."""
+    """Return the origin of a replay's QPs that a JSON object describes; an error if it is bad."""
     if not values:
         return CONTROLLER
     kind = str(values.get("kind"))
@@ -134,7 +134,7 @@ def parse_source(values: Mapping[str, Any]) -> QPSource:
 
 @cache
 def _source_validator(kind: str) -> TypeAdapter[QPSource]:
-    """Return the pydantic validator for one kind of QP source."""
+    """Return the pydantic validator for one kind of origin of QPs."""
     return TypeAdapter(SOURCES[kind])
 
 
@@ -159,7 +159,7 @@ _OPTIONAL = (
 
 @dataclass(frozen=True)
 class StudyRealisation:
-    """Point and replicate of a study that a closed loop runs; `x` has the keys' values."""
+    """Parameter point and repetition of a study that a closed loop runs; `x` has the values."""
 
     name: str
     point: int
@@ -169,7 +169,7 @@ class StudyRealisation:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a campaign: a problem and mode, with solver, call mode, settings and units.
+    """One run of a campaign: closed loop or replay of a problem by a solver with its settings.
 
     Parameters
     ----------
@@ -238,21 +238,21 @@ class Cell:
 
     @property
     def is_timed(self) -> bool:
-        """Return whether the cell is a replay whose times are compared."""
+        """Return whether the run is a replay whose times are compared between solvers."""
         return self.mode == "replay" and self.source.is_timed
 
     @property
     def is_window(self) -> bool:
-        """Return whether the cell replays only the hardest steps of a sequence."""
+        """Return whether the run replays only the hardest steps of a sequence."""
         return isinstance(self.source, HardestSource)
 
     @property
     def last_step(self) -> int:
-        """Number of steps that the source of the QPs must have."""
+        """Number of steps that the file of the run's QPs must have."""
         return self.first + self.source.count_stretch_steps(self.steps)
 
     def source_key(self, harness_version: str) -> str:
-        """Return a hash shared by all cells whose QPs are read from the same file."""
+        """Return a hash shared by all runs whose QPs are read from the same file."""
         # A loop is solved once, whatever is made of it.
         return _hash_json(
             [self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION]
@@ -260,28 +260,28 @@ class Cell:
 
     @property
     def problem_key(self) -> str:
-        """Hash shared by cells with the same QPs (replay) or the same ship (closed loop)."""
+        """Hash shared by runs on the same QPs (replay) or the same scenario (closed loop)."""
         description = self._to_dict()
         return _hash_json([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
-        """Hash of all fields of the cell."""
+        """Hash of all fields that describe the run."""
         return _hash_json(self._to_dict())
 
     def _to_dict(self) -> dict[str, Any]:
-        """Return the fields as a JSON object, without optional ones that are unused."""
+        """Return the run's description as a JSON object, without unused optional fields."""
         study = {} if self.study is None else vars(self.study)
         values = vars(self) | {"source": self.source.to_dict(), "study": study}
         return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
-        """Return the cell as JSON text, from which it can be run again."""
+        """Return the run's description as JSON text, from which it can be run again."""
         return json.dumps(self._to_dict(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
-        """Return the cell that a JSON text describes."""
+        """Return the run that a JSON text describes."""
         values = json.loads(text)
         values["source"] = parse_source(values.get("source", {}))
         if "study" in values:
@@ -289,11 +289,11 @@ class Cell:
         return cls(**values)
 
     def with_settings(self, name: str) -> Cell:
-        """Return this cell under another name of its solver settings."""
+        """Return this run under another name of its solver settings."""
         return replace(self, settings=name)
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
-        """Return a hash of the cell, solver version, machine and dpbench version."""
+        """Return the run's id: hash of its description, solver version, machine and dpbench."""
         description = self._to_dict()
         return _hash_json(
             [description, solver_version, machine_id, harness_version, SCHEMA_VERSION]
@@ -312,7 +312,7 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a cell's process, with its cause and the size of the QP given to the solver.
+    """How a run ended (finished, crashed, hung, ...), why, and the size of its QP.
 
     n, m : size of the QP given to the solver; None where it got none.
     peak_bytes : largest resident memory of its process; None where unknown.

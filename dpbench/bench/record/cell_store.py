@@ -72,7 +72,7 @@ _OWN_FILE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class StepGroup:
-    """Rows of `steps.parquet` of some runs, in one row group of a file.
+    """Step rows of some runs in one Parquet row group, read on demand.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class StepGroup:
 
 
 class Source(ABC):
-    """A place that finished cells are read from: the public tables, or a part file."""
+    """Files that finished runs are read from: the result tables, or one batch's file."""
 
     steps: Path
 
@@ -103,11 +103,11 @@ class Source(ABC):
 
     @abstractmethod
     def is_sound(self) -> bool:
-        """Return whether the file of steps has the bytes that were written."""
+        """Return whether the file of steps is undamaged, by its checksum."""
 
     @abstractmethod
     def remove(self) -> None:
-        """Delete the files that finished cells are read from."""
+        """Delete the files that finished runs are read from."""
 
     def read_rows(self) -> pa.Table:
         """Return the rows of finished runs as one table; an empty one if unreadable."""
@@ -117,7 +117,7 @@ class Source(ABC):
             return NO_RUNS
 
     def outcomes(self) -> dict[str, str]:
-        """Return run_id: outcome of the finished runs, without those whose steps are damaged."""
+        """Return the outcome of finished runs by run_id, without runs whose steps are damaged."""
         finished: dict[str, str] = {}
         try:
             for table in self.iterate_rows():
@@ -131,7 +131,7 @@ class Source(ABC):
         return {name: outcome for name, outcome in finished.items() if name in read}
 
     def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Yield the readable row groups that hold steps of the runs `names`."""
+        """Yield the readable Parquet row groups with steps of the runs `names`."""
         footer = _read_sound_footer(self.steps) if self.is_sound() else None
         with suppress(*DAMAGE), open_table(self.steps) as file:
             for index in range(file.num_row_groups):
@@ -193,14 +193,14 @@ class PublicTables(Source):
 
 
 class Part(Source):
-    """A part file in the folder `cells` with the finished cells of one batch."""
+    """A Parquet file in the folder `cells` with the finished runs of one batch."""
 
     def __init__(self, steps: Path) -> None:
         self.steps, self._cells = steps, 0
         self._rows: pa.Table | None = None
 
     def iterate_rows(self) -> Iterator[pa.Table]:
-        """Yield the rows of finished runs in the part file; ValueError if it is damaged."""
+        """Yield the rows of finished runs in a batch's file; ValueError if it is damaged."""
         if not self.is_sound():
             raise ValueError("a damaged part")
         if self._rows is None:
@@ -211,12 +211,12 @@ class Part(Source):
         yield self._rows
 
     def is_sound(self) -> bool:
-        """Return whether the part file has the checksum in its name."""
+        """Return whether a batch's file has the checksum in its name."""
         named = _PART.fullmatch(self.steps.name)
         return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
 
     def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Yield the one row group of the part file, if it has any rows."""
+        """Yield the one row group with the steps in a batch's file, if it has any rows."""
         # It was sound when its rows were read, which tell the runs in its only row group.
         footer = _read_sound_footer(self.steps)
         if footer is not None and footer.rows:
@@ -224,12 +224,12 @@ class Part(Source):
             yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_row_group)
 
     def _read_row_group(self) -> pa.Table:
-        """Return the one row group of the part file as an Arrow table."""
+        """Return the steps in a batch's file as an Arrow table."""
         with open_table(self.steps) as file:
             return file.read_row_group(0)
 
     def remove(self) -> None:
-        """Delete the part file."""
+        """Delete the file of one batch's finished runs."""
         self.steps.unlink(missing_ok=True)
 
 
@@ -243,7 +243,7 @@ def _read_sound_footer(path: Path) -> Footer | None:
 
 
 def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return a part file's runs as a table, without rows of wrong types or without a cell."""
+    """Return a batch file's runs as an Arrow table, without rows of wrong types."""
     try:
         runs = build_runs_table(columns)
     except (ValueError, TypeError, OverflowError):
@@ -290,16 +290,16 @@ class StepFile:
 
     @property
     def rows(self) -> int:
-        """Number of rows of steps so far."""
+        """Number of step rows added so far."""
         return self._writer.rows + self._count
 
     @property
     def crc32(self) -> int:
-        """CRC-32 of the file, once it is closed."""
+        """CRC-32 of the file of steps, once it is closed."""
         return self._writer.crc32
 
     def copy_group(self, group: StepGroup) -> bool:
-        """Copy a row group of another file unchanged; return False where that is impossible."""
+        """Copy a Parquet row group of steps unchanged; return False where that is impossible."""
         if not group.may_copy or group.footer is None:
             return False
         try:
@@ -324,13 +324,13 @@ class StepFile:
         self._waiting, self._count = [], 0
 
     def close(self) -> None:
-        """Write what is left and the footer; nothing the second time."""
+        """Write the steps that are left and the Parquet footer; nothing the second time."""
         self._flush()
         self._writer.close(read_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table()))))
 
 
 class CellStore:
-    """The finished cells of a result folder: its part files and its public tables.
+    """The finished runs of a result folder: its result tables, and files of newer batches.
 
     `folder` holds the part files; `finished` has the outcome of each finished cell, by run_id.
     """
@@ -357,7 +357,7 @@ class CellStore:
             self.finished |= source.outcomes()
 
     def _list_sources(self) -> list[Source]:
-        """Return the public tables and all part files, oldest first."""
+        """Return the result tables and all batch files of finished runs, oldest first."""
         return [self.public, *self.parts]
 
     def _remove_leftovers(self) -> None:
@@ -370,7 +370,7 @@ class CellStore:
 
     @property
     def remarks(self) -> list[str]:
-        """A remark on unknown files beside the cells, such as those of sync programs."""
+        """A remark on unknown files in the folder `cells`, such as those of sync programs."""
         others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         said = (
@@ -379,13 +379,13 @@ class CellStore:
         return [said] if said else []
 
     def mark_unfinished(self, run_ids: Iterable[str]) -> None:
-        """Treat cells as unfinished, so that they run again."""
+        """Treat stored runs as unfinished, so that they are done again."""
         self._stale |= set(run_ids)
         for run_id in self._stale:
             self.finished.pop(run_id, None)
 
     def add_part(self, part: BatchPart) -> None:
-        """Write the part file of a batch, once; OSError where there is no room."""
+        """Write the file of a batch's finished runs, once; OSError where there is no room."""
         if part.data == self._latest:
             return
         name = f"part-{self._next:05d}-{zlib.crc32(part.data):08x}.parquet"
@@ -395,14 +395,14 @@ class CellStore:
         self.finished |= part.outcomes
 
     def add_rows(self, rows: pa.Table, steps: pa.Table) -> None:
-        """Write runs and their steps from other files as new part files."""
+        """Write finished runs and their steps, read from other files, as new batch files."""
         for first in range(0, len(rows), PART_CELLS):
             columns = rows.slice(first, PART_CELLS).to_pydict()
             some = filter_steps(steps, set(columns["run_id"])) if len(steps) else steps
             self.add_part(encode_part(columns, some))
 
     def copy_cells(self, other: CellStore) -> None:
-        """Copy the readable finished cells of another result folder."""
+        """Copy the readable finished runs of another result folder into this one."""
         rows, sources = other.collect_rows()
         read: set[str] = set()
         for group in other.find_groups(sources):
@@ -415,7 +415,7 @@ class CellStore:
         self.add_rows(select_stepless(rows, read), FILE_SCHEMA.empty_table())
 
     def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
-        """Return the rows of all finished cells, and the latest source of each run."""
+        """Return the rows of all finished runs, and the files that hold the latest copy of each."""
         tables, sources = [NO_RUNS], dict[str, Source]()
         for source in self._list_sources():
             table = source.read_rows()
@@ -431,11 +431,11 @@ class CellStore:
         return rows, sources
 
     def finished_runs(self) -> pd.DataFrame:
-        """Return the rows of all finished cells as a data frame, by run_id."""
+        """Return the rows of all finished runs as a data frame, by run_id."""
         return runs_to_frame(self.collect_rows()[0])
 
     def find_groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
-        """Yield the row groups with the steps of finished cells, each run from its source."""
+        """Yield the Parquet row groups with the steps of finished runs, from the given files."""
         names: dict[Source, set[str]] = {}
         for name, source in sources.items():
             names.setdefault(source, set()).add(name)
@@ -443,14 +443,14 @@ class CellStore:
             yield from source.find_groups(own)
 
     def remove_parts(self, parts: Iterable[Part]) -> None:
-        """Delete part files whose cells are stored elsewhere."""
+        """Delete batch files whose runs are now stored in the result tables."""
         for part in list(parts):
             part.remove()
             self.parts.remove(part)
 
 
 def select_stepless(runs: pa.Table, read: Collection[str]) -> pa.Table:
-    """Return the rows of runs that left no steps, except runs whose steps were `read`."""
+    """Return the rows of runs that recorded no steps, except those in `read`."""
     none = runs.filter(pc.equal(runs["steps_done"], 0))
     return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
 

@@ -31,7 +31,7 @@ class Configuration:
 
     @property
     def options(self) -> str:
-        """Route, policy and unusual settings as text, such as `native warm, high`."""
+        """How the solver is called, with unusual settings, as text such as `native warm, high`."""
         settings = "" if self.settings == "default" else f", {self.settings}"
         return f"{self.route} {self.policy}{settings}"
 

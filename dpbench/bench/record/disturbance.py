@@ -38,7 +38,7 @@ QUIET_RULE = (
 
 
 def read_counters() -> Floats:
-    """Return clock, context switches, steal time, throttling and thread time of this process (6,).
+    """Read clock, context switches, host's time, throttling, thread time of this process (6,).
 
     Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
     mean over several), processor time of all threads but the calling one [s].
@@ -60,7 +60,7 @@ def read_counters() -> Floats:
 
 
 def _read_steal_s(cores: set[int]) -> float:
-    """Return the steal time of some cores [s], averaged; NaN where the kernel hides it."""
+    """Return the mean time [s] a virtual machine's host took from some cores; NaN if hidden."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
         of_core = {fields[0]: fields for fields in map(str.split, lines) if fields}
@@ -84,7 +84,7 @@ def _count_throttling(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """Return context switches, steal time and throttling summed over the rounds that count.
+    """Return a replay's context switches, time taken by the host, throttling, in counted rounds.
 
     Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
     less what they waited for the core.
@@ -100,7 +100,7 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Figures of what disturbed some replays: slow rounds, context switches, steal time.
+    """Measures of what disturbed replays: slow rounds, context switches, time the host took.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Disturbance:
 
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
-        """Return the sum over several replays; a figure unknown in all of them is NaN."""
+        """Return the disturbances summed over several replays; a sum unknown in all is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
@@ -135,7 +135,7 @@ class Disturbance:
         return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """Return which limits of `QUIET_RULE` were exceeded; none for a quiet machine."""
+        """Return, in words, which limits of a quiet machine the disturbances exceeded."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

@@ -46,7 +46,7 @@ def clock_read_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """Return the content of `machine.json`; `id` hashes what makes timings comparable.
+    """Describe this machine for `machine.json`; its `id` hashes what makes timings comparable.
 
     That is CPU model, cores, memory, kernel release, Python and the libraries of every
     configuration; a solver's own version is part of each cell's key instead.
@@ -126,7 +126,7 @@ def current_revision() -> Revision:
 
 
 def checkout_revision(package: Path) -> Revision:
-    """Return commit and cleanness of a package in a git checkout; empty where it is in none."""
+    """Return a package's git commit and whether its files are unchanged; empty if unknown."""
     commit = _run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
     part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
@@ -147,7 +147,7 @@ def installed_revision() -> Revision:
 
 
 def append_revision(earlier: list[Revision], now: Revision) -> list[Revision]:
-    """Return the revisions of earlier cells, followed by the current one."""
+    """Return the dpbench revisions of earlier runs, followed by the current one."""
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 
 

@@ -75,7 +75,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
-    """Return the arrays in the bytes of a `write_arrays` file, as views of them."""
+    """Return the arrays in the bytes of a file in dpbench's own array format, without copying."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
         raise ValueError("another check sum than it was written with")
@@ -90,7 +90,7 @@ def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
 
 @contextmanager
 def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """Open a file of `write_arrays` or a `.npz` file; yield its arrays. ResultsError if damaged."""
+    """Open a file of arrays, dpbench's own or `.npz`; yield its arrays. ResultsError if damaged."""
     try:
         with open_regular_file(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
@@ -112,7 +112,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """Return the arrays of a `.npz` file, and its packed Python objects; InputError if damaged."""
+    """Return the arrays of a `.npz` file, and its pickled objects unread; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
     with open_regular_file(path, what) as file:

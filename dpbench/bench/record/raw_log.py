@@ -68,7 +68,7 @@ def loop_layout(
     *,
     backup: bool = False,
 ) -> Layout:
-    """Return type and shape of every array in a closed loop's raw log of `steps` steps.
+    """Return type and shape of every array that records a closed loop of `steps` steps.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def loop_layout(
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
-    """Return type and shape of every array in a replay's raw log; round 0 is the warm-up."""
+    """Return type and shape of every array that records a replay; round 0 is the warm-up."""
     return _answer_layout(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
@@ -130,7 +130,7 @@ def _answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
 
 
 class AnswerLog:
-    """Recorded answers of one solver: arrays over (rounds, steps), with times and status."""
+    """Recorded answers of one solver: solution, times and status over (rounds, steps)."""
 
     done: Ints
     started: Ints
@@ -147,7 +147,7 @@ class AnswerLog:
 
 
 class BackupLog(AnswerLog):
-    """Recorded answers of the backup solver; all times are −1 in a step without one.
+    """Recorded answers of the backup solver; all times are −1 in steps it did not solve.
 
     `acted` (steps,) whether its plan was applied, or began to be; `ready_ns` (steps,) time of its
     answer on a slow computer from t_k on, −1 where there is none.
@@ -158,7 +158,7 @@ class BackupLog(AnswerLog):
 
 
 class RawLog(AnswerLog):
-    """The raw log of a run: named arrays over one shared buffer, as attributes.
+    """The record of a run while it is made: arrays over steps in one buffer, mostly a file.
 
     `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
     fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the
@@ -201,12 +201,12 @@ class RawLog(AnswerLog):
 
     @classmethod
     def in_memory(cls, layout: Layout) -> RawLog:
-        """Return a new raw log in this process's memory."""
+        """Return a new record of a run in this process's memory."""
         return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> RawLog:
-        """Create a raw log file, all pages allocated, with its layout beside it.
+        """Create the file that a run is recorded in, at full size; OSError where there is no room.
 
         It appears at `path` whole or not at all, as the supervisor may read it at any moment.
 
@@ -225,18 +225,18 @@ class RawLog(AnswerLog):
 
     @classmethod
     def open(cls, path: Path) -> RawLog:
-        """Open an existing raw log file, writable and shared."""
+        """Open the file that a run is recorded in, writable and shared between processes."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:
             return cls(layout, mmap.mmap(file.fileno(), 0))
 
     def touch_pages(self) -> None:
-        """Read a byte of every page, so that the kernel maps them into this process."""
+        """Read a byte of every page of the record, so that the kernel maps them into memory."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
 def sum_step_ns(times: Ints) -> Ints:
-    """Return the solver's time of steps [ns] (...) from the times of all phases (..., 6)."""
+    """Return each step's solver time [ns] (...) from the times of its phases (..., 6)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
@@ -247,7 +247,7 @@ def sum_phases_ns(phases_ns: Iterable[int]) -> int:
 
 
 def log_bytes(layout: Layout) -> int:
-    """Return the size of a raw log with this layout [B]."""
+    """Return the size [B] of the file that a run is recorded in, from its arrays' layout."""
     sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
@@ -265,7 +265,7 @@ def _allocate_file(path: Path, size: int) -> None:
 
 
 def is_writable_log(path: Path) -> bool:
-    """Return whether a raw log file has its full size and every page can be written.
+    """Return whether the file that a run is recorded in has its full size and can be written.
 
     Otherwise writing to it through memory is a SIGBUS. A file system that copies on write shows a
     lack of room only when written, so a byte of each page is rewritten.
@@ -284,6 +284,6 @@ def is_writable_log(path: Path) -> bool:
 
 
 def remove_log(path: Path) -> None:
-    """Delete a raw log and its layout file."""
+    """Delete the file that a run was recorded in, and the file with its layout."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

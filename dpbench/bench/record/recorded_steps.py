@@ -56,17 +56,17 @@ class StepsInMemory:
             yield some
 
     def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the rows of one run as a data frame."""
+        """Return the steps of one run as a data frame."""
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
     def read_all(self) -> pd.DataFrame:
-        """Return the rows of all runs as a data frame."""
+        """Return the steps of all runs as a data frame."""
         return self._frame
 
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
-        """First row of each run, and the row after its last, by run_id."""
+        """First row of each run in the table of steps, and the row after its last, by run_id."""
         return run_slices(self._frame["run_id"])
 
 
@@ -124,7 +124,7 @@ class StepsOnDisk:
 
     @cached_property
     def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
-        """For each row group: first row of each run, and the row after its last."""
+        """Each run's first row, and the row after its last, per row group of `steps.parquet`."""
         with (
             table_errors(self._path),
             pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file,
@@ -137,15 +137,15 @@ class StepsOnDisk:
 
     @cached_property
     def _groups_by_run(self) -> dict[str, int]:
-        """Index of the row group that holds each run, by run_id."""
+        """Index of the Parquet row group that holds each run's steps, by run_id."""
         return {name: group for group, places in enumerate(self._run_rows) for name in places}
 
     def _read_group_frame(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
-        """Return columns of one row group as a data frame."""
+        """Return columns of one row group of `steps.parquet` as a data frame."""
         return _to_frame(self._read_group(group, columns), columns)
 
     def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:
-        """Return columns of one row group as an Arrow table; absent ones have no values."""
+        """Return columns of a row group of `steps.parquet` as an Arrow table, absent ones empty."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]

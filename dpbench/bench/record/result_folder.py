@@ -59,7 +59,7 @@ class ComparedMachine(TypedDict, total=False):
 
 @with_config(_OPEN)
 class MachineDescription(ComparedMachine, total=False):
-    """Content of `machine.json`; `others` are further machines of gathered cells."""
+    """Content of `machine.json`; `others` are further machines whose runs were joined."""
 
     id: Required[str]
     governor: str
@@ -86,7 +86,7 @@ class _Requirements(TypedDict, total=False):
 
 
 class _Report(TypedDict, total=False):
-    """Table `report` of `suite.json`: the baseline and the step that the report shows first."""
+    """Table `report` of `suite.json`: the solver to compare with, and the step shown first."""
 
     baseline: str | None
     step: int | None
@@ -269,7 +269,7 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
 
 
 def read_accidents(out: Path) -> tuple[int, list[str]]:
-    """Return the number of lost cells and designs, and the remarks, in `suite.json`."""
+    """Return the number of lost runs and stability studies, and the remarks, in `suite.json`."""
     suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
@@ -341,12 +341,12 @@ def _read_runs(folder: Path) -> pd.DataFrame:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file; ResultsError, naming the file, without one."""
+    """Return the JSON object in a file of results; ResultsError, naming the file, without one."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Return name: SHA-256 of those files of a folder that exist."""
+    """Return the SHA-256, by name, of those files of a folder that exist."""
     found = {}
     for name in names:
         if (folder / name).is_file():

@@ -392,7 +392,7 @@ def _missing_column(dtype: DType, rows: int) -> Any:
 
 
 def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """Return `frame` with exactly these columns and types; absent ones have no values."""
+    """Give a data frame exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
     absent = {
         dtype: _missing_column(dtype, len(frame))
@@ -406,25 +406,25 @@ def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
 
 
 def _convert_column(column: pd.Series[Any], dtype: DType) -> Any:
-    """Return a column converted to a type, without a copy where it has it."""
+    """Return a data-frame column converted to a type, without a copy where it has it already."""
     # Converting a column to the type it has copies it, and takes ten times as long as looking.
     return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return `frame` with the columns and types of `steps.parquet`; absent ones have no values."""
+    """Give a data frame the columns and types of `steps.parquet`; absent ones have no values."""
     return as_columns(frame, STEP_COLUMNS)
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return `frame` with the columns and types of `runs.parquet`, then its study keys."""
+    """Give a data frame the columns and types of `runs.parquet`, then its study parameters."""
     runs = as_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
 def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the study columns of runs (N) from their cells: name, point, replicate, keys.
+    """Return study name, point, repetition and parameter values of runs (N), as columns.
 
     They are `study`, `study_point` and `replicate`, and an `x_<key>` for each key, a number where
     all its values are numbers and text else, missing in runs of other studies.
@@ -439,7 +439,7 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _study_row(study: dict[str, Any]) -> dict[str, Any]:
-    """Return the study columns of one cell: name, point, replicate, and its keys' values."""
+    """Return a run's study name, point, repetition and parameter values, by column."""
     values = {
         f"{STUDY_PREFIX}{key}": json.dumps(value) if isinstance(value, list) else value
         for key, value in study["x"].items()

@@ -70,7 +70,7 @@ def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
-    """Return columns of `runs.parquet` as a full table; ValueError or TypeError for wrong types."""
+    """Build a full table of runs from columns; ValueError or TypeError for wrong types."""
     arrays = {
         name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
         for name, (dtype, _) in RUN_COLUMNS.items()
@@ -80,7 +80,7 @@ def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
 
 
 def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
-    """Return a table with all `columns`; absent ones have no values."""
+    """Return an Arrow table with all `columns`, from given arrays; absent ones have no values."""
     absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
     full = [
         arrays[name] if name in arrays else absent[dtype] for name, (dtype, _) in columns.items()
@@ -89,7 +89,7 @@ def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) ->
 
 
 def _check_whole_numbers(runs: pa.Table) -> pa.Table:
-    """Return a table of runs; ValueError where a number is missing that no run lacks."""
+    """Check that a table of runs has every number that all runs have; ValueError otherwise."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
             raise ValueError(f"{name}: no number")
@@ -164,12 +164,12 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
 
 
 def complete_steps(table: pa.Table) -> pa.Table:
-    """Return a table with all columns of `steps.parquet`; ValueError for wrong types."""
+    """Complete a table of steps to all columns of `steps.parquet`; ValueError if wrong types."""
     return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
 def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
-    """Return a table with exactly these columns, cast to a schema."""
+    """Return an Arrow table with exactly these columns, cast to a schema; absent ones empty."""
     arrays = {name: table[name] for name in table.column_names if name in columns}
     return _complete_columns(arrays, len(table), columns).cast(schema)
 
@@ -194,7 +194,7 @@ def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
 
 
 def complete_runs(table: pa.Table) -> pa.Table:
-    """Return a table with all columns of `runs.parquet`; ValueError for wrong types."""
+    """Complete a table of runs to all columns of `runs.parquet`; ValueError if wrong types."""
     return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 
@@ -246,7 +246,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 
 
 def _json_value(value: object) -> object:
-    """Return a NumPy number or a missing one as JSON can hold it; TypeError for others."""
+    """Convert a NumPy number to a Python one for JSON, a missing one to None; TypeError else."""
     if value is pd.NA:
         return None
     if isinstance(value, np.generic):
@@ -256,20 +256,20 @@ def _json_value(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class BatchPart:
-    """The finished cells of a batch: the outcome of each by run_id, and their part file's bytes."""
+    """The finished runs of a batch: the outcome of each by run_id, and the bytes of their file."""
 
     outcomes: Mapping[str, str]
     data: bytes
 
 
 def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
-    """Return the part file of a batch from the row and steps of each cell."""
+    """Return the Parquet file, as bytes, of a batch's finished runs with their steps."""
     steps = concat_steps({name: batch for name, (_, batch) in cells.items()})
     return encode_part(rows_to_columns([row for row, _ in cells.values()]), steps)
 
 
 def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
-    """Return the part file with these columns of runs and all their steps."""
+    """Return the Parquet file, as bytes, of runs given by columns and all their steps."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
     return BatchPart(
         outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
@@ -277,13 +277,13 @@ def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchP
 
 
 def read_part(data: bytes) -> BatchPart:
-    """Return the part in the bytes of a file; an error of `DAMAGE` where there is none."""
+    """Return a batch's finished runs from its file's bytes; an error of `DAMAGE` if damaged."""
     columns = read_part_runs(pq.read_metadata(pa.BufferReader(data)).metadata)
     return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 
 
 def read_part_runs(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
-    """Return the columns of runs in a part file's metadata; an error of `DAMAGE` without any."""
+    """Return the runs, by column, in a batch file's metadata; raise one of `DAMAGE` without any."""
     try:
         columns = json.loads((metadata or {})[RUNS.encode()])
     except RecursionError as error:

@@ -17,7 +17,7 @@ from dpbench.ship.layout import AXES
 
 
 class Actuation:
-    """Actuation of a controller of forces: the limited u of a step is both command and force.
+    """Actuation where the controller commands the force itself: its limited u acts on the ship.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class Actuation:
         """Set up the allocation solver, if any, before the first step."""
 
     def apply_step(self, k: int) -> int:
-        """Set command and force from the limited u of step k; return a solver's time [ns]."""
+        """Set command and force from step k's limited u; return the allocation's time [ns]."""
         return 0
 
 
 class ThrusterActuation(Actuation):
-    """Actuation of a controller of thrusters: u are their forces, T_e u the force on the ship."""
+    """Actuation where the controller commands thruster forces u: T_e u acts on the ship."""
 
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
         super().__init__(u, np.zeros(AXES), log.thrust)
@@ -51,7 +51,7 @@ class ThrusterActuation(Actuation):
 
 
 class Allocator(Actuation):
-    """Actuation of a cascade: allocates the force u to thrusters, by a QP or pseudo-inverse.
+    """Thrust allocation of a cascade: distributes force u to thrusters by QP or pseudo-inverse.
 
     Without a usable answer of the QP the pseudo-inverse acts.
 
@@ -84,7 +84,7 @@ class Allocator(Actuation):
             answers.setup_once_ns[0] = self._solver.prepare()
 
     def apply_step(self, k: int) -> int:
-        """Allocate the demand u to thrusters, set u to their sum; return the time [ns]."""
+        """Allocate force u to the thrusters, set u to what they make; return the QP's time [ns]."""
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False
         if self._solver is None:
@@ -103,7 +103,7 @@ class Allocator(Actuation):
     def _solve_allocation(
         self, k: int, demand: Vector, solver: TimedSolver
     ) -> tuple[Vector | None, bool, int]:
-        """Solve an allocation QP; return Δf (n_f,) or None, if unfinished, and its time [ns]."""
+        """Solve a thrust-allocation QP; return Δf (n_f,) or None, if unfinished, time [ns]."""
         builder, answers = self._builder.allocation, self._log.allocation
         assert builder is not None and answers is not None, "a QP allocates"
         t0 = self._clock()
@@ -120,7 +120,7 @@ class Allocator(Actuation):
         return None, False, spent_ns
 
     def _pseudo_inverse_move(self, k: int, demand: Vector) -> Vector:
-        """Return Δf (n_f,) to the forces that the pseudo-inverse allocates, without limits."""
+        """Return the change Δf (n_f,) to thruster forces allocated by pseudo-inverse, unlimited."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move
@@ -134,7 +134,7 @@ def build_actuation(
     clock: Clock,
     u: Vector,
 ) -> Actuation:
-    """Return the actuation that a controller needs: forces, thrusters, or an allocation."""
+    """Return how a controller's output acts on the ship: as force, by thrusters, or allocated."""
     if isinstance(controller, CascadeController):
         return Allocator(controller, builder, log, solver, clock, u)
     if controller.commanded is not None:

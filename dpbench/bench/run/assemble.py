@@ -38,7 +38,7 @@ def closed_loop_setup(
     *,
     hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
-    """Return the parts of the closed loop that a cell describes.
+    """Build what a closed-loop run needs: QP builder, timed solver, log, backup, time limits.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
 
 def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
-    """Return the scenario, with the baseline law as controller where the cell asks for it."""
+    """Return the scenario, with the unconstrained law as controller where the run asks for it."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())
@@ -115,7 +115,7 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """Return the QPs in a solver's formulation, the timed solver, and a new raw log."""
+    """Return a replay's QPs in the solver's formulation, the timed solver, and a new raw log."""
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
     steps, formulated = replay_formulation(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

@@ -46,7 +46,7 @@ class Backup:
         log.times[:], log.ready_ns[:] = -1, -1
 
     def warm_up(self) -> None:
-        """Solve some unrecorded QPs, so that the first real one is not slow."""
+        """Let the backup solve some unrecorded QPs, so that the first real one is not slow."""
         self.solver.warm_up(WARM_UP_SOLVES)
 
     def solve_step(self, k: int, step: QPStep) -> Matrix | None:
@@ -54,13 +54,13 @@ class Backup:
         return self.log_answer(k, self.answer(k, step))
 
     def answer(self, k: int, step: QPStep) -> Solution:
-        """Return the answer to step k; a missing one where it hung in an earlier process."""
+        """Return the backup solver's answer to step k; none where it hung in an earlier process."""
         if k in self._hung:
             return self.solver.answer_hung_step(self._limit_ns)
         return self.solver.answer(step)
 
     def log_answer(self, k: int, answer: Solution) -> Matrix | None:
-        """Record the answer to step k; return its plan (N_c, n_u), None if unusable."""
+        """Record the backup's answer to step k; return its plan (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
@@ -70,7 +70,7 @@ class Backup:
 
 
 class LoopWithBackup:
-    """Solver, backup solver and fallback of a loop that waits for every answer."""
+    """Solver, backup solver and fallback of a closed loop that waits for every answer."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class LoopWithBackup:
 
     @property
     def phases_ns(self) -> tuple[int, ...]:
-        """Times of the main solver's phases in the last step [ns]."""
+        """Times of the main solver's set-up, update, solve and read in the last step [ns]."""
         return self._solver.phases_ns
 
     @property
@@ -96,7 +96,7 @@ class LoopWithBackup:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates in which the main solver took new matrices."""
+        """Number of updates in which the main solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
@@ -105,7 +105,7 @@ class LoopWithBackup:
         return self._solver.prepare()
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Return the QP of step k for x (n_x,) and u_prev (n_u,)."""
+        """Return the MPC QP of step k for state x (n_x,) and previous input u_prev (n_u,)."""
         self._k = k
         return self._emit(k, x, u_prev)
 

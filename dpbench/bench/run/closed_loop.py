@@ -119,7 +119,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
 def _choose_controller_parts(
     setup: ClosedLoopSetup,
 ) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
-    """Return what answers QPs, what acts without an answer, and what emits; may be one object."""
+    """Return what solves the QPs, what moves without an answer, and what makes each QP."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
     law = FALLBACKS[setup.fallback](

@@ -45,7 +45,7 @@ Part = Literal["controller", "allocation"]
 
 
 class ExactWorkspace(Workspace):
-    """A workspace whose answers are the referee's certified optima; scaled QPs only."""
+    """A solver whose answers are certified optima; scaled QPs only."""
 
     def __init__(self) -> None:
         super().__init__("exact", "native", "reuse")
@@ -56,7 +56,7 @@ class ExactWorkspace(Workspace):
         """The optimum of every solved step, in order."""
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store the matrices of a QP and make a referee for them."""
+        """Store the matrices of a QP and prepare certifying its optima."""
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
         self._referee = (
@@ -67,14 +67,14 @@ class ExactWorkspace(Workspace):
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Store the vectors of a step, and its matrices where they have changed."""
+        """Store the vectors of a step's QP, and its matrices where they have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
         self._step = step
 
     def solve(self) -> None:
-        """Certify the optimum of the current step and store it."""
+        """Find and certify the optimum of the current step's QP, and store it."""
         assert self._referee is not None and self._step is not None, "setup comes first"
         step = self._step
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
@@ -116,7 +116,7 @@ class ExactLoop:
     drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write the states, forces and optima of the loop to a `.npz` file."""
+        """Write the states, forces and certified optima of the loop to a file."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
         arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
@@ -128,7 +128,7 @@ class ExactLoop:
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
-        """Return the loop in a file written by `save`; ResultsError where it is damaged or gone."""
+        """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
             demand, drawn = stored.get("demand"), read_stored_weather(stored)
@@ -147,7 +147,7 @@ def read_stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
 
 
 def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
-    """Return n and m of the allocation QPs in a stored loop; None where it is no cascade."""
+    """Return n and m of a stored loop's thrust-allocation QPs; None where it has none."""
     if "demand" not in stored:
         return None
     if f"{ALLOCATED}_z" not in stored:
@@ -156,7 +156,7 @@ def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]
 
 
 def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """Return the fields of optima as arrays over steps, with a prefix to their names."""
+    """Convert certified optima to arrays over steps, by name with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
@@ -164,7 +164,7 @@ def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any
 
 
 def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
-    """Return the optima stored as arrays whose names have a prefix."""
+    """Return the certified optima that are stored as arrays whose names have a prefix."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
         Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
@@ -216,7 +216,7 @@ def rebuild_sequence(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """Return the QPs of `count` steps from `first` on along an exactly solved loop."""
+    """Return the MPC QPs of `count` steps from `first` on along an exactly solved loop."""
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"
@@ -251,7 +251,7 @@ def rebuild_sequence(
 def _rebuild_allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram, Units]:
-    """Return a cascade's allocation QPs, the problem of the first, and their units."""
+    """Return a cascade's thrust-allocation QPs, the problem of the first, and their units."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         allowed = 'a cascade with allocation = "qp"'
@@ -263,7 +263,7 @@ def _rebuild_allocation_steps(
 def _rebuild_sparse_sequence(
     scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
 ) -> SparseEquivalent:
-    """Return the QPs of recorded θ (K, 16) in sparse form, and the map of its answers back."""
+    """Return the sparse-form QPs of recorded parameters θ (K, 16), and the map back to z."""
     builder = QPBuilder(scenario, units, sparse=True)
     staged = builder.staged
     assert staged is not None, "asked for"
@@ -273,12 +273,12 @@ def _rebuild_sparse_sequence(
 
 
 def _stack_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
-    """Return the vectors q (K, n), l (K, m) and u (K, m) of K steps, by name."""
+    """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps, by name."""
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
 def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
-    """Return the matrices of all steps as one array; None where the steps bring none."""
+    """Stack the matrices of all steps into one array; None where no step has new ones."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None
 

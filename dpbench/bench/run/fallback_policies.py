@@ -56,7 +56,7 @@ class ShiftedPlan(FallbackPolicy):
 
 
 class Clip(FallbackPolicy):
-    """A fallback that applies the unconstrained law (eq. 33), clipped by the loop."""
+    """A fallback that applies the unconstrained control law; the loop clips it to the limits."""
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
         """Return Δu (n_u,) of the unconstrained law."""

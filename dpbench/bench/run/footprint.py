@@ -88,7 +88,7 @@ def mark_as_first_oom_victim() -> None:
 
 
 class MemoryWatch:
-    """Meter of a solver's peak memory: that of its worker, less the harness's own part.
+    """Meter of a solver's peak memory: that of its process, less the benchmark's own part.
 
     Made before the solver's library is imported. A forked process starts with its parent's present
     memory as its peak, which is subtracted; an older process resets its peak first.
@@ -101,19 +101,19 @@ class MemoryWatch:
         self._left = 0.0
 
     def begin_replay(self) -> None:
-        """Start measuring another replay in the same process, without memory of earlier ones."""
+        """Start measuring another replay's memory in this process, without that of earlier ones."""
         reset_peak_memory()
         self._left = _read_status("VmRSS") - self._imported
 
     def record_setup(self) -> None:
-        """Note the memory after the solver's library is loaded, before QPs and log are."""
+        """Record memory use after the solver's library is loaded, before QPs and log are."""
         if isnan(self._imported):
             self._peak_of_import = _read_status("VmHWM") - self._at_birth
             self._imported = _read_status("VmRSS")
         self._harness = -_read_status("VmRSS")
 
     def record_load(self, log: RawLog) -> None:
-        """Note the memory after QPs and log are loaded, with the log's pages mapped."""
+        """Record memory use after QPs and log are loaded, with the log's pages mapped."""
         log.touch_pages()
         self._harness += _read_status("VmRSS")
 
@@ -157,7 +157,7 @@ def heap_bytes() -> float:
 
 
 def count_affordable_steps(log: RawLog) -> int:
-    """Return how many steps can be measured within `LIMIT_NS`, by the slowest one so far."""
+    """Return for how many steps memory can be measured within `LIMIT_NS`, by the slowest so far."""
     slowest = sum_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
@@ -165,7 +165,7 @@ def count_affordable_steps(log: RawLog) -> int:
 def measure_step_memory(
     sequence: QPSequence, solver: TimedSolver, steps: int
 ) -> tuple[float, float, float]:
-    """Return memory blocks, peak bytes and heap growth of answering one step, untimed.
+    """Return memory blocks, peak bytes and heap growth of solving one QP, untimed.
 
     Returns
     -------

@@ -53,7 +53,7 @@ class QPBuilder:
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
-        """n, m, length of [θ; 1], n_f, and (n, m) of a cascade's allocation QP, 0 without a QP."""
+        """QP size n, m; length of [θ; 1]; thruster forces n_f; size of the thrust-allocation QP."""
         second = (0, 0) if self._allocates else None
         if self.allocation is not None:
             second = self.allocation.n, self.allocation.m
@@ -61,7 +61,7 @@ class QPBuilder:
         return condensed.n, condensed.m, int(condensed.Z.shape[1]), self._n_f, second
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Return the QP of step k for x (9,) and u_prev (n_u,)."""
+        """Return the MPC QP of step k for state x (9,) and previous input u_prev (n_u,)."""
         table, ahead = self.reference, self._horizon
         y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
         limits = self.limits[k]
@@ -70,13 +70,13 @@ class QPBuilder:
         return self._emit(x, y_ref, u_prev, limits=limits)
 
     def rebuild(self, k: int, theta: Vector) -> QPStep:
-        """Return the QP of step k from its recorded θ = [x; y_ref; u_prev; 1]."""
+        """Return the MPC QP of step k from its recorded parameters θ = [x; y_ref; u_prev; 1]."""
         model = self.condensed.control.model
         n_x, n_y = model.n_x, model.n_y
         return self.emit(k, theta[:n_x], theta[n_x + n_y : -1])
 
     def emit_allocation(self, k: int, demand: Vector, f_prev: Vector) -> QPStep:
-        """Return a cascade's allocation QP of step k for demand (3,) and f_prev (n_f,)."""
+        """Return the thrust-allocation QP of step k for a demanded force (3,) and f_prev (n_f,)."""
         assert self.allocation is not None, "a QP allocates"
         limits = self.thruster_limits[k]
         if limits is self.allocation.allocation.rows.intact:
@@ -84,7 +84,7 @@ class QPBuilder:
         return self.allocation.emit(demand, f_prev, limits=limits)
 
     def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
-        """Return the allocation QP of step k from recorded demand (K, 3), forces (K, n_f)."""
+        """Return the thrust-allocation QP of step k from recorded demand (K, 3) and thrust."""
         return self.emit_allocation(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
 
 
@@ -92,7 +92,7 @@ NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose
 
 
 class BoxFormulation:
-    """The condensed formulation of QPs, with box constraints, as they are emitted.
+    """The condensed formulation of QPs, with box constraints, as the controller makes them.
 
     `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
     steps without any. The arrays of a step that go to the solver are its own.
@@ -102,7 +102,7 @@ class BoxFormulation:
         self.base = base
 
     def step(self, step: QPStep) -> QPStep:
-        """Return an emitted step as the solver gets it, with arrays of its own."""
+        """Return a step's QP as the solver gets it, with arrays of its own."""
         # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
@@ -110,42 +110,42 @@ class BoxFormulation:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """Return a solver's answer as that to the condensed problem."""
+        """Return a solver's answer as the answer to the condensed QP: here the same."""
         return answer
 
 
 class StackedFormulation(BoxFormulation):
-    """The formulation of QPs with one-sided rows only, as in the paper (eq. 23-25)."""
+    """The formulation of QPs with all limits as one-sided rows, as in the paper (eq. 23-25)."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         super().__init__(stack(base))
         self._m = base.m
 
     def step(self, step: QPStep) -> QPStep:
-        """Return an emitted step with all its limits as one-sided rows."""
+        """Return a step's QP with all its limits as one-sided rows."""
         return super().step(stack_step(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
-        """Return an answer with the multipliers of both sides of each row joined."""
+        """Return a solver's answer with the multipliers of each row's two sides joined."""
         return unstack(answer, self._m)
 
 
 class SparseFormulation(BoxFormulation):
-    """The stage-ordered sparse formulation; `condensed` maps its answers back."""
+    """The sparse formulation of QPs, ordered by stages; `condensed` maps answers back."""
 
     def __init__(self, base: QuadraticProgram, condensed: Callable[[Solution], Solution]) -> None:
         super().__init__(base)
         self._condensed = condensed
 
     def solution(self, answer: Solution) -> Solution:
-        """Return an answer to the sparse problem as that to the condensed one."""
+        """Convert a solver's answer to the sparse QP into that to the condensed QP."""
         return self._condensed(answer)
 
 
 def loop_formulation(
     formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
 ) -> BoxFormulation:
-    """Return the formulation in which a closed loop hands its QPs to the solver."""
+    """Return the formulation, box, stacked or sparse, in which a loop's QPs go to the solver."""
     if builder.staged is None:
         return _choose_condensed_formulation(formulation, base)
     model = builder.staged.control.model
@@ -157,7 +157,7 @@ def loop_formulation(
 def replay_formulation(
     formulation: Formulation, sequence: QPSequence
 ) -> tuple[QPSequence, BoxFormulation]:
-    """Return the steps to replay and their formulation; InputError for "sparse" without a model."""
+    """Return the QPs to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
         return sequence, _choose_condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
@@ -169,5 +169,5 @@ def replay_formulation(
 def _choose_condensed_formulation(
     formulation: Formulation, base: QuadraticProgram
 ) -> BoxFormulation:
-    """Return the stacked or the box formulation of a condensed problem."""
+    """Return the formulation of a condensed QP: one-sided rows only, or rows and a box."""
     return StackedFormulation(base) if formulation == "condensed_stacked" else BoxFormulation(base)

@@ -22,7 +22,7 @@ PREROLL = 3
 
 @njit(cache=True)
 def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
-    """Run a dependent chain of multiply-adds of some 50 µs, without cache misses."""
+    """Run the machine-speed test: some 50 µs of multiply-adds, each waiting for the last."""
     s = 0.5
     for _ in range(100):
         for i in range(v.shape[0]):
@@ -38,12 +38,12 @@ _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
 def _increment(value: int) -> int:
-    """Return `value` + 1, as a Python call of the load kernel."""
+    """Return `value` + 1: a Python call for the machine-load test to time."""
     return value + 1
 
 
 def _load_kernel() -> None:
-    """Run Python calls, small NumPy calls and a LAPACK inverse: some 60 µs of the work of steps.
+    """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
     Other load may slow all of it by a factor of two, which the dependent chain hardly shows. Over
     40 runs on such a machine the factor that 14 configurations had in common correlated at 0.98
@@ -60,7 +60,7 @@ def _load_kernel() -> None:
 
 
 def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """Return the shortest time of the reference kernel [ns]; write those of the load kernel."""
+    """Time the machine-speed test, return its shortest time [ns]; write the load test's times."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()
@@ -112,7 +112,7 @@ class ReplayRun:
             self.run_round(r)
 
     def _warm_caches(self, steps: int) -> None:
-        """Solve the first steps of a round once without a record, to warm caches."""
+        """Solve the first QPs of a round once without recording them, to warm caches."""
         log, solver = self._log, self._solver
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
@@ -123,7 +123,7 @@ class ReplayRun:
         solver.reset()
 
     def run_round(self, r: int) -> bool:
-        """Replay round r into the log; return False when the time limit stopped it."""
+        """Solve and record the QPs of replay round r; return False if the time limit stopped it."""
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]

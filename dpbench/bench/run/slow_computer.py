@@ -48,11 +48,11 @@ class ComputationalDelay:
 
     @property
     def is_simulated(self) -> bool:
-        """Return whether answers may arrive late; otherwise the loop waits for each."""
+        """Return whether a slow computer is simulated, whose answers may arrive late."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Return the latency of an answer computed in `spent_ns` [ns]; at most 2^62."""
+        """Return the simulated latency [ns] of an answer computed here in `spent_ns` [ns]."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
     def count_samples_late(self, latency_ns: int) -> int:
@@ -74,7 +74,7 @@ def never_preempted() -> tuple[int, int]:
 
 
 def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """Return the computational delay of a closed-loop cell; InputError for an impossible one."""
+    """Return a closed-loop run's computer slow-down and deadline; InputError if impossible."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -136,7 +136,7 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates in which the solver took new matrices."""
+        """Number of updates in which the solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
@@ -148,7 +148,7 @@ class SlowComputer:
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """Return the QP of step k, `NO_STEP` while the processor is busy; let a due plan arrive."""
+        """Return step k's QP, or `NO_STEP` while the processor is busy; let a late plan arrive."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
@@ -158,11 +158,11 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """Return an emitted step in the formulation of the solver."""
+        """Return a step's QP in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve a step however long it takes; return no answer while the processor is busy."""
+        """Solve a step's QP however long it takes; return no answer while the processor is busy."""
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing

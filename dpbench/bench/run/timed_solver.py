@@ -42,7 +42,7 @@ def is_usable(solution: Solution) -> bool:
 
 
 class TimedSolver:
-    """Timer of one solver's phases, which also turns its failures into answers.
+    """Timer of one solver's set-up, update, solve and read; its failures become answers.
 
     After `answer`, `phases_ns` holds set-up, update, solve and read of that step, −1 for none;
     `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
@@ -66,11 +66,11 @@ class TimedSolver:
 
     @property
     def matrix_updates(self) -> int:
-        """Number of updates so far in which the workspace took new matrices."""
+        """Number of updates so far in which the solver took new QP matrices."""
         return self._workspace.matrix_updates
 
     def prepare(self) -> int:
-        """Set up the workspace before the loop; return the time [ns], −1 if each step does."""
+        """Set up the solver before the first step; return the time [ns], −1 if each step does."""
         if self._workspace.setup_every_step:
             return -1
         started = self._clock()
@@ -78,7 +78,7 @@ class TimedSolver:
         return self._clock() - started
 
     def warm_up(self, times: int) -> None:
-        """Solve the set-up problem some times without a record, then reset."""
+        """Solve the set-up QP some times without recording it, then reset the solver."""
         base = self._formulated.base
         for _ in range(times):
             self.answer(QPStep(base.q, base.l, base.u).copy())
@@ -86,7 +86,7 @@ class TimedSolver:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and return the answer to its condensed QP.
+        """Solve one step's QP, timed, and return the answer to its condensed form.
 
         No failure of a solver is raised, except MemoryError; a malformed answer has the status
         ERROR.
@@ -131,7 +131,7 @@ class TimedSolver:
         return formulated.solution(solution)
 
     def _restore_problem(self) -> QuadraticProgram:
-        """Return the solver's copy of the problem, with what the solver overwrote restored."""
+        """Return the solver's copy of the QP, with what the solver overwrote restored."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
             self._given = self._whole.copy()
@@ -143,7 +143,7 @@ class TimedSolver:
         return given
 
     def reset(self) -> None:
-        """Make the workspace forget an unusable answer, such as a bad warm start.
+        """Make the solver forget an unusable answer, such as a bad warm start.
 
         After an interrupt, which may have left anything, it is set up anew.
         """
@@ -157,7 +157,7 @@ class TimedSolver:
             self._count_detail(f"reset: {type(error).__name__}: {error}")
 
     def set_up_again(self) -> None:
-        """Set the workspace up from nothing, with the current matrices."""
+        """Set the solver up from nothing, with the current QP matrices."""
         if self._workspace.setup_every_step:
             return
         try:
@@ -166,7 +166,7 @@ class TimedSolver:
             self._count_detail(f"setup: {type(error).__name__}: {error}")
 
     def _count_detail(self, detail: str) -> None:
-        """Count a failure message, for the outcome of the cell."""
+        """Count a failure message of the solver, for the outcome of the run."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
     def answer_hung_step(self, limit_ns: int) -> Solution:
@@ -179,7 +179,7 @@ class TimedSolver:
 
 
 def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns: int) -> None:
-    """Write an answer and its wait for the core [ns] to round r, step k of a raw log."""
+    """Record an answer, and its wait for the core [ns], as round r, step k of a run."""
     log.waited_ns[r, k] = waited_ns
     log.status[r, k] = solution.status
     log.iterations[r, k] = solution.iterations
@@ -217,7 +217,7 @@ class ResumedSolver(TimedSolver):
 
     @property
     def matrix_updates(self) -> int:
-        """Number of matrix updates in the earlier process and in this one."""
+        """Number of updates with new QP matrices, in the earlier process and in this one."""
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:
@@ -250,7 +250,7 @@ class ResumedSolver(TimedSolver):
         return self._k
 
     def warm_up(self, times: int) -> None:
-        """Solve the set-up problem some times with the solver itself, then reset."""
+        """Solve the set-up QP some times with the solver, not from the record, then reset it."""
         at, self._at = self._at, -1
         super().warm_up(times)
         self._at, self._k = at, -1
@@ -263,7 +263,7 @@ class ResumedSolver(TimedSolver):
 
 @contextmanager
 def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
-    """Raise `StepTimeLimitError` in a workspace call that takes longer than `limit_s` [s].
+    """Raise `StepTimeLimitError` in any solver call in the block that takes over `limit_s` [s].
 
     It reaches what runs Python. No alarm goes off in a run that ends before; a step that began
     since the last alarm goes on.
@@ -312,7 +312,7 @@ class RunDelay:
         self._before_ns = self._read_total_ns()
 
     def _read_total_ns(self) -> int:
-        """Return the thread's total run delay so far [ns]; `UNKNOWN` where the kernel hides it."""
+        """Return how long the thread has waited for its core so far [ns]; `UNKNOWN` if hidden."""
         if self._file < 0:
             return UNKNOWN
         try:
@@ -322,7 +322,7 @@ class RunDelay:
             return UNKNOWN
 
     def since_last(self) -> int:
-        """Return the run delay since the last call, or since the start [ns]; −1 if unknown."""
+        """Return how long the thread waited for its core since the last call [ns]; −1: unknown."""
         before_ns, now_ns = self._before_ns, self._read_total_ns()
         self._before_ns = now_ns
         return now_ns - before_ns if now_ns != UNKNOWN else UNKNOWN
@@ -330,11 +330,11 @@ class RunDelay:
 
 @cache
 def _cached_run_delay(thread: int) -> RunDelay:
-    """Return the run-delay meter of a thread, one object for each."""
+    """Return the meter of a thread's waits for its core, one object for each thread."""
     return RunDelay()
 
 
 def get_run_delay() -> RunDelay:
-    """Return the run-delay meter of the calling thread, shared by all its solvers."""
+    """Return the meter of the calling thread's waits for its core, shared by its solvers."""
     # The identifier of a forked child is its own, so that it opens a file of its own.
     return _cached_run_delay(threading.get_native_id())

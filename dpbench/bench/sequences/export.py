@@ -67,7 +67,7 @@ def export(
 
 
 def check_export_options(options: dict[str, Any]) -> None:
-    """Raise InputError unless --all comes alone, or WHAT with --out."""
+    """Raise InputError unless `dpbench export` has --all alone, or what to export with --out."""
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
             raise SituationError("export", "name WHAT and its file by --out, or give --all")
@@ -116,13 +116,13 @@ def _record_requested(
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
-    """Return step k of a recorded sequence alone, with its certified optimum."""
+    """Return the QP of step k of a recorded sequence alone, with its certified optimum."""
     sequence = recording.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 
 
 def _parse_horizons(text: str | None) -> Horizons | None:
-    """Return the horizons in the text "N_p/N_c", None for None; InputError for other texts."""
+    """Return the MPC horizons in a text "N_p/N_c", None for None; InputError for other texts."""
     if text is None:
         return None
     try:

@@ -36,7 +36,7 @@ AVERAGE_S = 60.0
 
 
 def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
-    """Return a scenario's commanded thrusters and their limit rows; InputError without any."""
+    """Return a scenario's commanded thrusters and the rows of their limits; InputError if none."""
     commanded = scenario.controller.commanded
     if commanded is None:
         where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'
@@ -71,7 +71,7 @@ def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> Q
 
 
 def find_active_limits(optima: Sequence[Optimum]) -> Ints:
-    """Return the limits (K, m + n) at each optimum: 1 upper, −1 lower, 0 inactive or none."""
+    """Return which limits (K, m + n) are active at each optimum: 1 upper, −1 lower, 0 none."""
     multipliers = np.array([np.concatenate((o.y, o.y_box)) for o in optima])
     active = np.abs(multipliers) > ACTIVE_MULTIPLIER
     active &= has_optimum(optima)[:, None]
@@ -100,7 +100,7 @@ def measure_hardness(active: Ints, feasible: Flags) -> Floats:
 
 
 def find_window_start(hard: Floats, steps: int) -> int:
-    """Return the first step of the window of `steps` steps around the hardest step.
+    """Return where the hardest window of `steps` steps around the hardest step begins.
 
     Of all windows with that step, it has the largest sum of hardness; of equals the earliest.
     """
@@ -111,7 +111,7 @@ def find_window_start(hard: Floats, steps: int) -> int:
 
 
 def find_hardest_window(optima: Sequence[Optimum], first: int, of: int, steps: int) -> int:
-    """Return the first of the hardest `steps` steps within `first` to `first + of`."""
+    """Return where the hardest `steps` QPs begin among the `of` steps from `first` on."""
     optima = optima[: first + of]
     hard = measure_hardness(find_active_limits(optima), has_optimum(optima))
     return first + find_window_start(hard[first:], steps)

@@ -97,7 +97,7 @@ def build_problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
 
 
 def to_qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
-    """Return P, q, G, h, A, b, lb, ub of a QP in the form of qpsolvers; None for empty ones.
+    """Convert a QP to the arrays P, q, G, h, A, b, lb, ub of qpsolvers; None for empty ones.
 
     Rows with l = u become equalities; of the others the upper sides come first.
     """

@@ -111,7 +111,7 @@ def read_problem(path: Path) -> QuadraticProgram:
 def _read_rows(
     arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
 ) -> tuple[Vector, Vector]:
-    """Return a constraint matrix and its right-hand side; no rows where both are absent."""
+    """Return a matrix G or A and its vector h or b from a problem file; no rows where absent."""
     matrix, vector = names
     present = [name for name in names if name in arrays]
     if not present:

@@ -76,7 +76,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
-    """Return the first and each `every`-th later one of the first `steps` QPs (None: all)."""
+    """Return each `every`-th of the first `steps` QPs of a sequence (None: of all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
         raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
     if every < 1:
@@ -89,7 +89,7 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
 
 
 def select_step(sequence: QPSequence, k: int) -> QPSequence:
-    """Return step k of a sequence as a sequence of one QP."""
+    """Return step k of a sequence of QPs as a sequence of one QP."""
     if not 0 <= k < len(sequence):
         raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
@@ -97,7 +97,7 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 
 
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
-    """Return some steps of a sequence, under another name."""
+    """Return some of the QPs of a sequence as a sequence with another name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(
@@ -114,7 +114,7 @@ def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, 
 
 
 def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
-    """Return a half line of text with a sequence's length, size and certificates."""
+    """Describe a sequence of QPs in half a line: length, QP size, kinds of optimum proof."""
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
     proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
@@ -124,7 +124,7 @@ def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
 
 
 def read_sequence(path: Path) -> Recorded:
-    """Return the sequence in dpbench's `.npz`, or in qpsolvers problems, which have no optima."""
+    """Return the QPs in a dpbench `.npz` with optima, or in qpsolvers files, which have none."""
     if path.is_dir() or is_problem_file(path):
         return Recorded(read_problems(path), None)
     if not path.is_file():

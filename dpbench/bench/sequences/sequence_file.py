@@ -72,7 +72,7 @@ class Recorded:
     documents: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write the sequence, optima, units and documents to a `.npz` file."""
+        """Write the QPs, certified optima, units and scenario documents to a `.npz` file."""
         save_sequence(path, self.sequence, self.optima, units=self.units, documents=self.documents)
 
 
@@ -84,7 +84,7 @@ def save_sequence(
     units: Units | None = None,
     documents: dict[str, Any] | None = None,
 ) -> None:
-    """Write a sequence and its optima to a `.npz` file, with reproducible bytes.
+    """Write a sequence of QPs and its certified optima to a `.npz` file, reproducibly.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
 
 def load_recorded(path: str | Path) -> Recorded:
-    """Return the sequence in a file of `save_sequence`; InputError for a bad file."""
+    """Return the QPs and certified optima in a dpbench sequence file; InputError if bad."""
     where = str(path)
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
@@ -231,7 +231,7 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
 
 
 def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
-    """Return the array `name`; InputError unless it is a matrix of at least one column."""
+    """Return the array `name` of a sequence file; InputError unless it is a matrix with columns."""
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:

@@ -20,7 +20,7 @@ Positive = Annotated[int, Field(ge=1)]
 
 
 class HorizonsTable(FileModel):
-    """A pair of horizons to record scenarios at, and how the recording is thinned."""
+    """A pair of MPC horizons to record scenarios' QPs at, and which steps are kept."""
 
     prediction: Horizon
     control: Horizon
@@ -28,7 +28,7 @@ class HorizonsTable(FileModel):
 
 
 class AllocationTable(FileModel):
-    """A cascade whose allocation QPs are recorded, with length and thinning."""
+    """A cascade whose thrust-allocation QPs are recorded, with length and which steps are kept."""
 
     scenario: str
     steps: Positive
@@ -36,14 +36,14 @@ class AllocationTable(FileModel):
 
 
 class LeftOutTable(FileModel):
-    """Sequences that the manifest's rules give but the package leaves out, and why."""
+    """Sequences of QPs that the manifest's rules give but the package leaves out, and why."""
 
     sequences: Annotated[list[str], Field(min_length=1)]
     reason: str
 
 
 class ManifestFile(FileModel):
-    """Content of `problems/sequences/manifest.toml`: scenarios × horizons, less those left out."""
+    """Content of `manifest.toml`: for which scenarios and horizons QPs are recorded and shipped."""
 
     title: str
     horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
@@ -54,7 +54,7 @@ class ManifestFile(FileModel):
 
 @dataclass(frozen=True)
 class RecordingRule:
-    """Rule to record one shipped sequence: scenario, horizons, steps and thinning."""
+    """Rule to record one shipped sequence of QPs: scenario, horizons, steps, which are kept."""
 
     scenario: str
     N_p: int
@@ -70,7 +70,7 @@ class RecordingRule:
         return f"{self.scenario}-{horizons}"
 
     def record(self, steps: int | None = None) -> Recorded:
-        """Record the sequence, or its beginning from the first `steps` samples."""
+        """Record the QPs by this rule, or their beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
         # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
@@ -81,12 +81,12 @@ class RecordingRule:
 
 
 def manifest_path() -> Path:
-    """Return the path of the manifest of shipped sequences."""
+    """Return the path of the file with the recording rules of the shipped QPs."""
     return problems_root() / SEQUENCES / "manifest.toml"
 
 
 def load_rules(path: Path | None = None) -> list[RecordingRule]:
-    """Return the recording rules of a manifest (None: the shipped one); InputError if bad."""
+    """Return the rules in a file by which shipped QPs are recorded; InputError if bad."""
     place = path or manifest_path()
     manifest = read_model(place, ManifestFile)
     rules = {rule.name: rule for rule in _expand_rules(manifest)}
@@ -99,7 +99,7 @@ def load_rules(path: Path | None = None) -> list[RecordingRule]:
 
 
 def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
-    """Yield a recording rule for each scenario and horizons of a manifest, and each cascade."""
+    """Yield a rule to record QPs for each scenario and horizons of a manifest, and each cascade."""
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield RecordingRule(scenario, table.prediction, table.control, steps, table.every)
@@ -112,7 +112,7 @@ def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
 def record_shipped_sequences(
     out: str | Path, rules: Sequence[RecordingRule] | None = None, progress: Progress | None = None
 ) -> str:
-    """Record the shipped sequences again into a folder; return one line on them.
+    """Record the QPs shipped with the package again into a folder; return one line on them.
 
     The same machine and versions write the same bytes; others the same shapes and active sets, and
     values to rounding. CertificateError when a step cannot be certified.

@@ -59,7 +59,7 @@ _latest: dict[tuple[str, Path], ReplayInput] = {}
 
 
 def read_replay(cell: Cell, path: Path) -> ReplayInput:
-    """Return the certified QPs of a replay cell; the latest are kept for the next cells."""
+    """Return the certified QPs of a replay; the latest are kept for the next runs."""
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
@@ -69,7 +69,7 @@ def read_replay(cell: Cell, path: Path) -> ReplayInput:
 
 
 def is_readable(cell: Cell, path: Path) -> bool:
-    """Return whether the source file behind a cell's QPs can be read to its end."""
+    """Return whether the file of a run's QPs can be read to its end."""
     try:
         source_file(cell).check(path)
     except InputError:
@@ -78,7 +78,7 @@ def is_readable(cell: Cell, path: Path) -> bool:
 
 
 def log_size(cell: Cell, path: Path) -> int:
-    """Return the size of a cell's raw log [B]; ResultsError where its source file is missing."""
+    """Return the size of a run's raw log [B]; ResultsError where its file of QPs is missing."""
     with open_arrays(path) as stored:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
@@ -92,16 +92,16 @@ def log_size(cell: Cell, path: Path) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _LoopFile:
-    """Source file with the exactly solved loop of a scenario, from which its QPs are rebuilt."""
+    """File with the exactly solved loop of a scenario, from which its QPs are rebuilt."""
 
     cell: Cell
 
     def make(self, path: Path) -> None:
-        """Solve the cell's scenario exactly and write the loop to `path`."""
+        """Solve the run's scenario exactly and write the closed loop to `path`."""
         solve_exactly(cached_scenario(self.cell.scenario).first(self.cell.last_step)).save(path)
 
     def load(self, path: Path) -> ReplayInput:
-        """Return the cell's QPs along the loop in the file, with their optima."""
+        """Return the QPs of the replay along the loop in the file, with their optima."""
         cell = self.cell
         scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
         first = cell.first
@@ -114,24 +114,24 @@ class _LoopFile:
         return ReplayInput(sequence, scenario.sample_s, optima)
 
     def check(self, path: Path) -> None:
-        """Read the whole file; ResultsError where it is damaged or has too few steps."""
+        """Read the whole file of a loop; ResultsError where it is damaged or has too few steps."""
         stored, needed = len(ExactLoop.load(path).theta), self.cell.last_step
         if stored < needed:
             raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        """Return n and m of the cell's QPs from the arrays of the file."""
+        """Return n and m of the run's QPs from the arrays of the file."""
         return stored["z"].shape[1], stored["optimum_y"].shape[1]
 
 
 @dataclass(frozen=True, eq=False)
 class _ConsequenceFile(_LoopFile):
-    """Source file with an exactly solved loop, for the consequence analysis of a failure group."""
+    """File with an exactly solved loop, for the consequence analysis of a failure group."""
 
     source: ConsequenceSource
 
     def load(self, path: Path) -> ReplayInput:
-        """Return the consequence-analysis QPs of the cell's failure group, without optima."""
+        """Return the consequence-analysis QPs of the replay's failure group, without optima."""
         cell, scenario = self.cell, cached_scenario(self.cell.scenario)
         whole = build_consequence_sequence(scenario, ExactLoop.load(path).tau, self.source.group)
         last = cell.first + cell.steps
@@ -151,17 +151,17 @@ class _ConsequenceFile(_LoopFile):
 
 
 class _SequenceFile:
-    """Source file with a sequence of QPs and its certified optima."""
+    """File with a sequence of QPs and its certified optima."""
 
     def load(self, path: Path) -> ReplayInput:
-        """Return the sequence in the file, with its optima and sample time."""
+        """Return the sequence of QPs in the file, with its optima and sample time."""
         recorded = load_recorded(path)
         # Random QPs, and some that others recorded, follow each other by no known time.
         sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
         return ReplayInput(recorded.sequence, sample_s, recorded.optima)
 
     def check(self, path: Path) -> None:
-        """Read the whole file; InputError where it is damaged."""
+        """Read the whole file of QPs; InputError where it is damaged."""
         load_recorded(path)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
@@ -171,19 +171,19 @@ class _SequenceFile:
 
 @dataclass(frozen=True, eq=False)
 class _RandomFile(_SequenceFile):
-    """Source file with a random sequence, certified once when it is made."""
+    """File with a random sequence of QPs, certified once when it is made."""
 
     source: RandomSource
 
     def make(self, path: Path) -> None:
-        """Generate and certify the random sequence and write it to `path`."""
+        """Generate and certify the random QPs and write them to `path`."""
         sequence = random_sequence(self.source.recipe)
         save_sequence(path, sequence, certify_sequence(sequence))
 
 
 @dataclass(frozen=True, eq=False)
 class _CapabilityFile(_SequenceFile):
-    """Source file with a ship's capability plot and its certified QPs."""
+    """File with a ship's capability plot and its certified QPs."""
 
     source: CapabilitySource
 
@@ -196,12 +196,12 @@ class _CapabilityFile(_SequenceFile):
 
 @dataclass(frozen=True, eq=False)
 class _RecordedFile(_SequenceFile):
-    """Source file with a sequence recorded by others, certified again."""
+    """File with a sequence of QPs recorded by others, certified again."""
 
     source: RecordedSource
 
     def make(self, path: Path) -> None:
-        """Read the recorded sequence, check its SHA-256, certify it and write it to `path`."""
+        """Read recorded QPs, check their SHA-256, certify them and write them to `path`."""
         origin = sequence_path(self.source.path)
         actual, planned = hash_sequence_files(origin), self.source.sha256
         if actual != planned:
@@ -221,7 +221,7 @@ QPs of the cell, `check` reads all of it (ResultsError or InputError where it is
 
 
 def source_file(cell: Cell) -> SourceFile:
-    """Return the source file that a cell's QPs are made from, by the kind of its source."""
+    """Return the maker and reader of the file of a run's QPs, by the kind of these QPs."""
     match cell.source:
         case ControllerSource() | HardestSource():
             return _LoopFile(cell)

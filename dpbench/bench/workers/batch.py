@@ -25,22 +25,22 @@ EVALUATION_LIMIT_S = 600.0
 
 
 class Item(Protocol):
-    """Protocol of one thing that a worker process does, such as a cell or a file."""
+    """Protocol of one thing that a worker process does, such as a run or a file."""
 
     @property
     def name(self) -> str:
-        """Name of the item's verdict file, without suffix."""
+        """Name of the file with the outcome of a worker's item, without suffix."""
 
     @property
     def limit_s(self) -> float | None:
-        """Longest run time of the item [s]; None for no limit."""
+        """Longest run time of a worker process's item [s]; None for no limit."""
 
 
 AnyItem = TypeVar("AnyItem", bound=Item)
 
 
 class _ItemProcess(Child, Generic[AnyItem]):
-    """A worker process that handles several items in order, with a verdict file for each."""
+    """A worker process that does several runs or files in order, with an outcome file for each."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
         self.alone = alone
 
     def _advance_to_current(self) -> None:
-        """Move on to the first item that has no verdict file yet."""
+        """Move on to the first run or file that the process has not finished yet."""
         while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
@@ -76,7 +76,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
                 self._running_since = None if self._logs else self._born
 
     def kill_if_overdue(self) -> bool:
-        """Kill the process when the current item ran too long; return whether it was killed."""
+        """Kill the process when its current run or file took too long; return whether it did."""
         self._advance_to_current()
         if self._at < len(self.items):
             return super().kill_if_overdue()
@@ -84,7 +84,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
         return time.monotonic() - self._born > GRACE_S and self.kill("")
 
     def split_items(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
-        """Return the outcomes of an ended process's items, and the items still to do."""
+        """Return the outcomes of an ended process's runs or files, and those still to do."""
         self.join()
         self._advance_to_current()
         outcomes = {}
@@ -99,7 +99,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
 
 
 class CellRun:
-    """The cells of a batch on one core: a process runs them, then another judges them.
+    """Execution of a batch of runs on one core: one process does them, then another judges them.
 
     Parameters
     ----------
@@ -126,11 +126,11 @@ class CellRun:
         self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
-        """Start the process that runs the batch's cells on a core."""
+        """Start the process that does the batch's runs on a core."""
         return self._start_process(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+        """Record the outcomes of a batch's process; start the next one; None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         if self._to_run:
@@ -150,7 +150,7 @@ class CellRun:
         return self._start_process(rest, core) if rest else None
 
     def _resume_hung_cell(self, ended: dict[str, Outcome]) -> list[BatchCell]:
-        """Return the cell killed in a hanging step, to be continued after that step; else none."""
+        """Return the run killed in a hanging step, to be continued after that step; else none."""
         for i, batch_cell in enumerate(self._cells):
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
@@ -166,7 +166,7 @@ class CellRun:
     def _collect_part(
         self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
     ) -> list[BatchCell]:
-        """Collect the judged cells' part file; return the cells to judge again without one."""
+        """Collect the judged runs' results; return the runs to judge again where they are gone."""
         lost = {
             name: f"the referee failed on it: {verdict.detail}"
             for name, verdict in ended.items()
@@ -185,14 +185,14 @@ class CellRun:
         return judged
 
     def _has_steps(self, cell: BatchCell) -> bool:
-        """Return whether a cell ended with recorded steps to judge."""
+        """Return whether a run ended with recorded steps to judge."""
         outcome = self.outcomes.get(cell.name)
         if outcome is None or outcome.outcome == "lost":
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 
     def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
-        """Start a process that runs cells, or that judges them when all are run."""
+        """Start a process that does a batch's runs, or judges them when all are done."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
@@ -205,7 +205,7 @@ class CellRun:
 
 @dataclass(frozen=True)
 class FileTask:
-    """A file to make at `path` from a text, within `limit_s` [s] (None: no limit)."""
+    """A file to make at `path` from a description, within `limit_s` [s] (None: no limit)."""
 
     description: str
     path: Path
@@ -213,19 +213,19 @@ class FileTask:
 
     @property
     def name(self) -> str:
-        """Name of the file's verdict file, without suffix."""
+        """Name of the file with the outcome of making this file, without suffix."""
         return self.path.stem
 
 
 def make_files_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
-    """Make several files one after the other in this process."""
+    """Make several files from their descriptions, one after the other in this process."""
     for i, task in enumerate(tasks):
         set_phase(Phase.HARNESS, i)
         target(task.description, folder, task.name, core, task.path)
 
 
 class FileRun:
-    """The files of a batch on one core, made in turn by one or more processes."""
+    """Making of a batch of files on one core, in turn, by one or more processes."""
 
     def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
         self.batch, self.folder = batch, folder
@@ -240,7 +240,7 @@ class FileRun:
         )
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcome of a process; start the next one, or return None at the end."""
+        """Record the outcomes of a process that made files; start the next one; None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]

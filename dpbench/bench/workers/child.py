@@ -39,18 +39,18 @@ _LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._compile_entry_p
 
 
 def list_kernel_modules(solvers: Iterable[str]) -> list[str]:
-    """Return the modules with compiled kernels that cells of these solvers import."""
+    """Return the modules with compiled code that runs of these solvers import."""
     return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
 
 
 def list_uncompiled_modules(modules: Sequence[str]) -> list[str]:
-    """Return those modules whose kernels are not in Numba's cache on this machine."""
+    """Return those modules whose compiled code is not in Numba's cache on this machine."""
     folders = cache_folders()
     return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
 
 
 def compile_in_processes(modules: Sequence[str]) -> None:
-    """Compile the kernels of each module in a process of its own, side by side.
+    """Compile the Numba code of each module in a process of its own, side by side.
 
     The error of one that fails appears where its kernels are needed.
     """
@@ -100,7 +100,7 @@ class NoProcessError(DpbenchError):
 
 
 def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
-    """Start the fork server with kernels compiled and threads pinned; return its context.
+    """Start the process that workers are forked from, code compiled; return its context.
 
     Its first call decides which of dpbench's own `solvers` the template has loaded; others load
     their kernels when opened.
@@ -118,7 +118,7 @@ def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
 
 @contextmanager
 def _running_forkserver() -> Iterator[None]:
-    """Keep the fork server running during the block, so that processes can be forked."""
+    """Keep the process that workers are forked from running during the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -140,7 +140,7 @@ def _running_forkserver() -> Iterator[None]:
 
 
 class Child:
-    """A worker process with a folder for its raw log and verdict file, and limits on its time.
+    """A worker process, which records a run and writes its outcome, with limits on its time.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class Child:
         self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set the paths of raw log and verdict file, and delete an old verdict."""
+        """Set the paths of a run's raw log and outcome file, and delete an old outcome."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -197,17 +197,17 @@ class Child:
 
     @property
     def raw_path(self) -> Path:
-        """Path of the raw log, which exists once the cell has started."""
+        """Path of the raw log, which exists once the run has started."""
         return self.folder / f"{self.name}.raw"
 
     @property
     def has_verdict(self) -> bool:
-        """Return whether the process wrote its outcome, which is final."""
+        """Return whether the worker process wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Return whether the process may have killed its fork server, and must run again alone."""
+        """Return whether the worker may have killed its parent, so that it must run again alone."""
         return self.forkserver_died and not self.alone
 
     def kill_if_overdue(self) -> bool:
@@ -247,7 +247,7 @@ class Child:
         return True
 
     def _join_process(self) -> None:
-        """Wait for the end of the process, letting a stopped fork server continue."""
+        """Wait for the end of the worker process; let its parent continue if it was stopped."""
         # A stopped template does not say who ended, and a stopped keeper does not let it go on.
         signal_process(self.notice.keeper, signal.SIGCONT)
         self.process.join()
@@ -263,14 +263,14 @@ class Child:
             _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
-        """Return whether the cell's raw log says that it has started."""
+        """Return whether the run's raw log says that it has started."""
         try:
             return bool(RawLog.open(self.raw_path).started[0])
         except (OSError, ValueError):
             return False
 
     def determine_outcome(self) -> Outcome:
-        """Wait for the end of the process and return its outcome, from its verdict or its exit."""
+        """Wait for the end of the process; return its outcome as written, or from its exit code."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
         by_itself = self.notice.phase is Phase.SOLVER and not self._was_killed
@@ -285,7 +285,7 @@ class Child:
         return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
 
     def _diagnose_end(self) -> Outcome:
-        """Return the outcome of a process that left no verdict, by its exit code and phase."""
+        """Return the outcome of a worker that wrote none, by its exit code and what it was at."""
         by_solver = self.notice.phase.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
@@ -318,7 +318,7 @@ class Child:
 
     @staticmethod
     def read_verdict(path: Path) -> Outcome:
-        """Return the outcome in a verdict file; "lost" where it cannot be read."""
+        """Return the outcome that a worker wrote to a file; "lost" where it cannot be read."""
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
@@ -326,7 +326,7 @@ class Child:
 
 
 class ServingChild(Child):
-    """A worker process that takes orders over a pipe and may serve several cells in turn.
+    """A worker process that takes orders over a pipe and may do several runs in turn.
 
     `begin_cell` begins each cell but the first, `finish_cell` ends each; None ends the process.
     """
@@ -346,24 +346,24 @@ class ServingChild(Child):
         far_end.close()
 
     def send_order(self, order: object) -> None:
-        """Send an order to the process; a process that died is noticed at the reply."""
+        """Send an order to the worker process; one that died is noticed at the reply."""
         with suppress(OSError):
             self._orders.send(order)
 
     def wait_until_ready(self) -> object:
-        """Return the first reply, within the time to start; None where the process died."""
+        """Return the worker's first reply, within the time to start; None where it died."""
         return self._receive_reply(
             START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s"
         )
 
     def wait_for_reply(self, limit_s: float) -> object:
-        """Return the next reply; None where the process died, refused, or hung and was killed."""
+        """Return the worker's next reply; None where it died, refused, or hung and was killed."""
         return self._receive_reply(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
 
     def _receive_reply(self, wait_s: float, overdue: str) -> object:
-        """Return a reply received within `wait_s`; else kill the process and return None."""
+        """Return the worker's reply if it comes within `wait_s`; else kill it and return None."""
         # What the process started may hold the other end of its pipe open when it ends.
         ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
@@ -375,12 +375,12 @@ class ServingChild(Child):
         return None
 
     def begin_cell(self, folder: Path, name: str) -> None:
-        """Begin another cell, with its own folder, log and verdict file."""
+        """Begin another run in this process, with its own folder, log and outcome file."""
         self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
     def finish_cell(self) -> Outcome:
-        """End the current cell and return its outcome; kill the process without a reply."""
+        """End the current run and return its outcome; kill the process if it does not reply."""
         self.send_order(None)
         if self._receive_reply(GRACE_S, "did not end when asked to") is True:
             return self.read_verdict(self._verdict)
@@ -398,7 +398,7 @@ class ServingChild(Child):
 
 
 def _start_process(process: ForkServerProcess) -> None:
-    """Start a process, again where its fork server dies; NoProcessError after `STARTS` attempts."""
+    """Start a worker process, again where its parent dies; NoProcessError after `STARTS` times."""
     for attempt in range(STARTS):
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
         signal_process(_find_keeper_pid(), signal.SIGCONT)
@@ -418,7 +418,7 @@ def _start_process(process: ForkServerProcess) -> None:
 
 
 def _find_keeper_pid() -> int:
-    """Return the process id of the running fork server's keeper; 0 for none."""
+    """Return the id of the process that watches over the one workers are forked from; 0 if none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
 

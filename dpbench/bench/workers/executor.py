@@ -36,7 +36,7 @@ POLL_S = 0.1
 
 
 class Task(Protocol):
-    """Protocol of work on one core: a sequence of worker processes."""
+    """Protocol of work on one core, done by worker processes one after the other."""
 
     def start(self, core: int) -> Child:
         """Start the task's first worker process on a core."""
@@ -115,7 +115,7 @@ def _avoid_core(core: int) -> Iterator[None]:
 
 
 class CellExecutor(ExitStack):
-    """Executor of batches of cells and files in worker processes on this machine's cores.
+    """Executor of batches of runs and files in worker processes on this machine's cores.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class CellExecutor(ExitStack):
         self.callback(self._idle.close)
 
     def submit(self, batch: Batch, sources: Sources) -> None:
-        """Start or queue a batch; timed replays only while there is no other batch."""
+        """Start or queue a batch of runs or files; timed replays only while there is no other."""
         if isinstance(batch, FileBatch):
             self._start_run(FileRun(self._context, batch, self._scratch.choose_folder()))
         elif batch.is_timed:
@@ -165,7 +165,7 @@ class CellExecutor(ExitStack):
             self._submit_cells(batch, sources)
 
     def wait_for_batches(self) -> Iterator[tuple[Batch, list[Result]]]:
-        """Wait until batches have ended; yield each with its results.
+        """Wait until batches of runs or files have ended; yield each with its results.
 
         Cells and files that a dead fork server took along have none.
         """
@@ -181,14 +181,14 @@ class CellExecutor(ExitStack):
             yield run.batch, results
 
     def _start_run(self, run: CellRun | FileRun) -> None:
-        """Queue a batch's run on the cores, with this machine locked against timed replays."""
+        """Queue a batch on this machine's cores, with the machine locked against timed replays."""
         self._idle.close()
         if not len(self._pool):
             self._sharing.enter_context(self._lock_machine(SHARED))
         self._pool.add(run)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
-        """Queue a batch of untimed cells; cells without room for their logs are "lost"."""
+        """Queue a batch of untimed runs; runs without room for their raw logs are "lost"."""
         sizes, lost = self._measure_logs(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
         need = sum(sizes.values())
@@ -206,14 +206,14 @@ class CellExecutor(ExitStack):
         self._start_run(run)
 
     def _collect_results(self, run: CellRun) -> list[Result]:
-        """Return the results of a batch whose run has ended."""
+        """Return the results of the runs of a batch that has ended."""
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
         return self._build_results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
     def _time_replays(self, batch: CellBatch, sources: Sources) -> list[Result]:
-        """Replay one sequence with all configurations by turns, then judge them; return results."""
+        """Replay a sequence of QPs with all solvers by turns, then judge them; return results."""
         sizes, lost = self._measure_logs(batch.jobs, sources)
         if not sizes:
             return lost
@@ -246,7 +246,7 @@ class CellExecutor(ExitStack):
     def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """Return replay outcomes by run_id; replays suspected of a crash run again alone.
+        """Do replays by turns, those suspected of a crash again alone; return outcomes by run_id.
 
         Suspects of a dead template run alone, which finds the one that ends its template; the
         others take turns once more.
@@ -274,7 +274,7 @@ class CellExecutor(ExitStack):
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """Return the outcomes of replays of one sequence, run by turns, by run_id."""
+        """Replay one sequence with several solvers by turns; return the outcomes by run_id."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
@@ -293,7 +293,7 @@ class CellExecutor(ExitStack):
     def _measure_logs(
         self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
-        """Return the raw log size of each job [B], and "lost" results of unreadable sources."""
+        """Return each run's raw log size [B]; and "lost" results where its QPs are unreadable."""
         sizes: dict[CellJob, int] = {}
         lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
@@ -309,13 +309,13 @@ class CellExecutor(ExitStack):
         return sizes, lost
 
     def check_machine_free(self, *, times: bool) -> None:
-        """Raise BusyError where the machine stays busy too long; `times` needs all of it."""
+        """Raise BusyError if other campaigns use the machine too long; `times` needs all of it."""
         if self._patience.limit_s is not None:
             with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
-        """Lock this machine, shared or exclusive for timing, waiting for other campaigns."""
+        """Lock this machine, shared or exclusive for timing, after waiting for other campaigns."""
         return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
@@ -327,13 +327,13 @@ class CellExecutor(ExitStack):
         self._waited_for = holders
 
     def _plugin_path(self, job: CellJob) -> str:
-        """Return the path of a job's plug-in file on this machine."""
+        """Return the path of a run's solver plug-in file on this machine."""
         return self._modules.get(job.cell.solver_module, job.cell.solver_module)
 
     def _make_batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
-        """Return what a worker process needs to run or judge a job."""
+        """Return what a worker process needs to do or judge a run."""
         return BatchCell(
             job.run_id,
             job.cell.to_json(),
@@ -349,7 +349,7 @@ class CellExecutor(ExitStack):
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of finished jobs with their part files, and delete temporary files."""
+        """Return the results of ended runs with their stored rows, and delete temporary files."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
@@ -378,5 +378,5 @@ class CellExecutor(ExitStack):
 
 
 def _lost_result(job: CellJob, cause: str) -> Result:
-    """Return the result "lost" of a job, with its cause."""
+    """Return the result "lost" of a run, with its cause."""
     return Result(job.run_id, Outcome("lost", cause))

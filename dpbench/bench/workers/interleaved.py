@@ -45,7 +45,7 @@ configuration."""
 
 
 class ReplayWorker:
-    """One configuration's worker process in an interleaved replay, and its progress.
+    """One solver configuration's worker process in a replay by turns, and its progress.
 
     Attributes
     ----------
@@ -63,21 +63,21 @@ class ReplayWorker:
 
     @property
     def is_budget_exhausted(self) -> bool:
-        """Return whether the time budget is used up after enough undisturbed rounds."""
+        """Return whether the replay's time budget is used up after enough undisturbed rounds."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 
 class IdleWorkers:
-    """Worker processes on one core that wait for another sequence, by configuration."""
+    """Worker processes on one core that wait for another replay, by solver configuration."""
 
     def __init__(self, context: ForkServerContext, core: int) -> None:
         self._context, self._core = context, core
         self._idle: dict[tuple[str, ...], ServingChild] = {}
 
     def start_replay(self, order: ReplayOrder, cell: Cell) -> ServingChild:
-        """Return a waiting or a new process, which begins a replay."""
+        """Begin a replay in a waiting worker process or a new one; return the process."""
         child = self._idle.pop(process_key(cell), None)
         # One whose template died counts as dead too.
         if child is not None and not child.process.is_alive():
@@ -94,7 +94,7 @@ class IdleWorkers:
         return child
 
     def finish_replay(self, child: ServingChild, cell: Cell) -> Outcome:
-        """Return the outcome of a replay; its process waits for another if it lives."""
+        """End a replay and return its outcome; its process waits for another if it lives."""
         outcome, key = child.finish_cell(), process_key(cell)
         if child.process.is_alive() and key not in self._idle:
             self._idle[key] = child
@@ -103,7 +103,7 @@ class IdleWorkers:
         return outcome
 
     def close(self) -> None:
-        """End all waiting processes."""
+        """End all worker processes that wait for another replay."""
         idle, self._idle = [*self._idle.values()], {}
         for child in idle:
             child.send_order(None)
@@ -112,12 +112,12 @@ class IdleWorkers:
 
 
 def process_key(cell: Cell) -> tuple[str, ...]:
-    """Return a key that equals for replays which one process may serve in turn."""
+    """Return a key that is equal for replays that one worker process may do in turn."""
     return (cell.solver_module, *(str(getattr(cell, name)) for name in CONFIGURATION_COLUMNS))
 
 
 class ReplayGroup:
-    """The configurations that replay one sequence by turns, round by round.
+    """Replay of one sequence of QPs by several solver configurations by turns, round by round.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class ReplayGroup:
         self.outcomes: dict[str, Outcome] = {}
 
     def run_rounds(self) -> Iterator[int]:
-        """Run all rounds of all configurations; yield each finished round, 0 for the warm-up."""
+        """Replay all rounds with all solvers; yield each finished round, 0 for the warm-up."""
         workers: list[ReplayWorker] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
@@ -167,7 +167,7 @@ class ReplayGroup:
                 self.outcomes[worker.run_id] = outcome
 
     def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
-        """Run rounds again that other load slowed, of workers whose logs still exist."""
+        """Replay rounds again that other load slowed, of solvers whose raw logs still exist."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
@@ -177,14 +177,14 @@ class ReplayGroup:
         rerun_loaded_rounds(serving, logs, self.run_round, order)
 
     def _start_child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
-        """Start a replay of one configuration in a waiting or new process."""
+        """Start one solver's replay in a waiting or new worker process; return the process."""
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
         child = self._processes.start_replay(order, cell)
         child.alone = self._alone
         return child
 
     def run_round(self, worker: ReplayWorker, r: int) -> None:
-        """Run one round of a configuration, once more where it was disturbed."""
+        """Replay one round with one solver configuration, once more where it was disturbed."""
         for _ in range(DISTURBED_RETRIES + 1):
             worker.child.send_order(r)
             started = time.monotonic()
@@ -215,7 +215,7 @@ class ReplayGroup:
         return worker.child.wait_until_ready() is True
 
     def _is_disturbed(self, worker: ReplayWorker, r: int) -> bool:
-        """Return whether the reference kernel around round r was slowed."""
+        """Return whether the machine-speed test around replay round r ran too slowly."""
         try:
             return bool(is_disturbed(self._open_log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
@@ -223,12 +223,12 @@ class ReplayGroup:
             return False
 
     def _open_log(self, worker: ReplayWorker) -> RawLog:
-        """Return the raw log of one configuration's replay."""
+        """Return the raw log of one solver configuration's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 
 def measure_load(log: RawLog) -> NDArray[np.float64]:
-    """Return the load kernel time around each round [ns] (rounds,): median of its quieter side.
+    """Return the machine-load test's time around each round [ns] (rounds,), on its quieter side.
 
     NaN for an unfinished round, and for the warm-up.
     """
@@ -239,7 +239,7 @@ def measure_load(log: RawLog) -> NDArray[np.float64]:
 
 
 def find_most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
-    """Return the round with the longest load kernel time; None where no round is loaded."""
+    """Return the replay round with the slowest machine-load test; None where none was slowed."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 
@@ -250,7 +250,7 @@ def rerun_loaded_rounds(
     serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
-    """Run rounds again that other load slowed, one per configuration by turns, in budget.
+    """Replay rounds again that other load slowed, one per solver by turns, within its budget.
 
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.

@@ -31,7 +31,7 @@ Target = Callable[[str, Path, str, int, Path], None]
 
 @dataclass(eq=False)
 class CellJob:
-    """A planned cell with its run_id, solver library and outcome; `machine_id` is in its run_id."""
+    """A planned run with its run_id, solver version and outcome; `machine_id` is in its run_id."""
 
     planned: PlannedCell
     run_id: str
@@ -41,18 +41,18 @@ class CellJob:
 
     @property
     def cell(self) -> Cell:
-        """The planned cell itself, without its job's data."""
+        """The description of the planned run, without its id and outcome."""
         return self.planned.cell
 
     @cached_property
     def source_key(self) -> str:
-        """Key of the source file behind the cell's QPs."""
+        """Hash key of the file of the run's QPs, shared by runs that use the same file."""
         return self.cell.source_key(HARNESS_VERSION)
 
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of a cell by its run_id, or of a made file by its path.
+    """Outcome of a run by its run_id, or of a made file by its path.
 
     `part` has the finished cells of its batch, one object for all of these; None where nothing is
     kept.
@@ -64,13 +64,13 @@ class Result:
 
     @property
     def is_lost(self) -> bool:
-        """Return whether an accident of the harness, not the solver, ended the cell."""
+        """Return whether an accident of the benchmark, not of the solver, ended the run."""
         return self.outcome.outcome == "lost"
 
 
 @dataclass(eq=False)
 class CellBatch:
-    """Cells of one configuration that share a process, or timed replays of one sequence.
+    """Runs of one solver configuration that share a process, or timed replays of one sequence.
 
     Parameters
     ----------
@@ -87,21 +87,21 @@ class CellBatch:
 
     @property
     def is_timed(self) -> bool:
-        """Return whether nothing else may run on the machine meanwhile."""
+        """Return whether the batch is timed, so that nothing else may run on the machine."""
         return self.kind == "replays"
 
     @property
     def names(self) -> list[str]:
-        """The run_id of each cell of the batch."""
+        """The run_id of each run of the batch."""
         return [job.run_id for job in self.jobs]
 
     @property
     def source_keys(self) -> list[str]:
-        """Keys of the source files behind the cells' QPs, each once."""
+        """Hash keys of the files of the batch's QPs, each once."""
         return [*group_by_source(self.jobs)]
 
     def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
-        """Return batches that run the cells `names` again, alone; timed replays stay together."""
+        """Return batches to do the runs `names` again, alone; timed replays stay together."""
         jobs = [job for job in self.jobs if job.run_id in names]
         groups = [jobs] if self.is_timed else [[job] for job in jobs]
         return [CellBatch(self.kind, group, isolated=True) for group in groups]
@@ -109,7 +109,7 @@ class CellBatch:
 
 @dataclass(eq=False)
 class FileBatch:
-    """Files to be made one after the other in one process.
+    """Files, mostly of QPs, to be made one after the other in one process.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ Batch = CellBatch | FileBatch
 
 
 def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
-    """Return jobs grouped by the source file behind their QPs."""
+    """Group runs by the file of their QPs."""
     of_key: dict[str, list[CellJob]] = {}
     for job in jobs:
         of_key.setdefault(job.source_key, []).append(job)
@@ -153,7 +153,7 @@ def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
 
 
 def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
-    """Return replay jobs grouped by their QPs; a group is timed by turns."""
+    """Group replays by their QPs; the solvers of a group are timed by turns."""
     groups: dict[str, list[CellJob]] = {}
     for job in jobs:
         groups.setdefault(job.cell.problem_key, []).append(job)
@@ -161,12 +161,12 @@ def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
 
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
-    """Return a key that equals for cells which may share a process."""
+    """Return a key that is equal for runs that may share a worker process."""
     return (cell.mode, cell.backup, *(getattr(cell, name) for name in CONFIGURATION_COLUMNS))
 
 
 def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
-    """Split jobs of one kind into batches, enough to keep `slots` processes busy.
+    """Split runs of one kind into batches, enough to keep `slots` processes busy.
 
     All configurations meet a sea at about the same time, so that its source is released soon.
     """
@@ -185,14 +185,14 @@ def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[
 
 
 def choose_batch_seconds(total_s: float, slots: int) -> float:
-    """Return the work of a batch [s] that gives enough batches for all slots."""
+    """Return how long a batch of runs should take [s], so that all `slots` processes get some."""
     return min(LONGEST_S, max(SHORTEST_S, total_s / (BATCHES_PER_SLOT * slots)))
 
 
 def cut_into_groups(
     items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
 ) -> Iterator[list[Item]]:
-    """Yield groups of items, each of `size_s` of work or more, `LONGEST_S` at most."""
+    """Cut a list of runs or files into groups of `size_s` of work or more, at most `LONGEST_S`."""
     group: list[Item] = []
     total_s = 0.0
     for item in items:
@@ -210,21 +210,21 @@ def cut_into_groups(
 
 
 def expected_cell_seconds(job: CellJob) -> float:
-    """Return the expected time of a cell [s], by measured rates."""
+    """Return the expected time of a run [s], by measured times of a run and a step."""
     return CELL_S + STEP_S * count_steps(job.cell)
 
 
 def count_steps(cell: Cell) -> int:
-    """Return the number of steps a cell will take, for the progress bar."""
+    """Return the number of steps a run will take, for the progress bar."""
     return cell.steps * max(1, cell.rounds)
 
 
 def cell_label(cell: Cell) -> str:
-    """Return a cell's solver and scenario or sequence, for the progress bar."""
+    """Return a run's solver and scenario or sequence as text, for the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
 
 
 def list_solvers(jobs: Iterable[CellJob]) -> list[str]:
-    """Return the solvers and backup solvers of all cells, each once."""
+    """Return the solvers and backup solvers of all runs, each once."""
     names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
     return [*dict.fromkeys(names)]

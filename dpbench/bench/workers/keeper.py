@@ -27,7 +27,7 @@ _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal
 
 
 def _split_keeper() -> None:
-    """Fork: the child becomes the fork server, the parent its keeper, which never returns."""
+    """Fork: the child becomes the process workers are forked from, the parent its supervisor."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()
@@ -43,7 +43,7 @@ def _split_keeper() -> None:
 
 
 def _watch_forkserver(template: int, main: int) -> None:
-    """Wait, as keeper, until the fork server or the main program has ended."""
+    """Wait until the process workers are forked from, or the main program, has ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     # The template's socket must refuse a connection when it is dead.
@@ -67,7 +67,7 @@ def _watch_forkserver(template: int, main: int) -> None:
 
 
 def _reap_children(template: int) -> bool:
-    """Reap ended children, continue a stopped fork server; return False when it has ended."""
+    """Reap ended children; return False when the process workers are forked from has ended."""
     while True:
         try:
             state = os.waitid(os.P_ALL, 0, os.WEXITED | os.WSTOPPED | os.WNOHANG)

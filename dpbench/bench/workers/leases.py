@@ -48,7 +48,7 @@ def _user_name(uid: int) -> str:
 
 @contextmanager
 def lease_core() -> Iterator[int]:
-    """Lock a free core of this process during the block and yield its number.
+    """Lock a free processor core against other campaigns in the block; yield its number.
 
     Where all are leased it is the first of them.
     """
@@ -68,7 +68,7 @@ def lease_machine(
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
-    """Lock this machine, exclusively for timed replays or shared for all else.
+    """Lock this machine against other campaigns: exclusively for timed replays, else shared.
 
     Returns false where locks do not work. Parameters and errors as in `lock_file`.
     """

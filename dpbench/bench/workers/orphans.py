@@ -71,13 +71,13 @@ def signal_process(pid: int, number: signal.Signals) -> None:
 
 
 def kill_forkserver(keeper: int) -> None:
-    """Kill the fork server of a keeper, with which all workers and the keeper end."""
+    """Kill the process that workers are forked from; all workers end with it."""
     for child in list_children(keeper) if keeper else []:
         signal_process(child, signal.SIGKILL)
 
 
 def end_orphans(keeper: int, template: int) -> None:
-    """Kill processes that workers have left, except the fork server, and wait for their end."""
+    """Kill processes that ended workers have left running, and wait for their end."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
         children = list_children(keeper) if keeper else []

@@ -40,7 +40,7 @@ def count_free_bytes(place: Path) -> int:
 
 
 def clear_places(beside: Path) -> list[Path]:
-    """Remove what killed campaigns left in the places for folders; return these, the best first."""
+    """Remove what killed campaigns left in temporary folders; return where to make new ones."""
     # One place on each file system.
     by_device: dict[int, Path] = {}
     for place in (MEMORY, Path(tempfile.gettempdir()), beside):
@@ -93,7 +93,7 @@ class Scratch(ExitStack):
         )
 
     def _make_folder(self, place: Path) -> Path:
-        """Return this campaign's temporary folder in a place, made on first use."""
+        """Return this campaign's temporary folder within `place`; make it on first use."""
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]

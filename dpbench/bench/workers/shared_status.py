@@ -44,7 +44,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Phases of a worker process: starting, harness work, opening a solver, solving."""
+    """Phases of a worker process: starting, benchmark's own work, opening a solver, solving."""
 
     STARTING = 0
     HARNESS = 1
@@ -91,7 +91,7 @@ class Output:
 
     @property
     def is_full(self) -> bool:
-        """Return whether the captured output was cut."""
+        """Return whether the captured process output was cut for its length."""
         # A write may be refused whole for its last bytes.
         return self._size > OUTPUT_BYTES - 2**14
 
@@ -120,7 +120,7 @@ class _Sink(io.FileIO):
 
 
 def _receive_output(descriptor: Any) -> Output:
-    """Return the captured output in the process that it was sent to."""
+    """Rebuild the captured output in the process that it was sent to."""
     return Output(descriptor.detach())
 
 
@@ -143,7 +143,7 @@ class SharedStatus:
         os.close(self._descriptor)
 
     def begin(self) -> None:
-        """Record fork server and keeper of this process, and begin the harness phase.
+        """Record the ids of this worker's parent processes, and that the benchmark is at work.
 
         The process ends here if its template has died.
         """
@@ -153,7 +153,7 @@ class SharedStatus:
         self.set_phase(Phase.HARNESS)
 
     def set_phase(self, phase: Phase, cell_index: int | None = None) -> None:
-        """Set the phase, and the index of the current one of several cells."""
+        """Set the phase that the worker is in, and the index of its current run."""
         at = self.cell_index if cell_index is None else cell_index
         _HEAD.pack_into(self._page, 0, phase, at, 0)
 
@@ -166,22 +166,22 @@ class SharedStatus:
 
     @property
     def phase(self) -> Phase:
-        """The current phase, or the last one of a process that has ended."""
+        """The current phase of the worker, or the last one of a process that has ended."""
         return Phase(_HEAD.unpack_from(self._page)[0])
 
     @property
     def cell_index(self) -> int:
-        """Index of the current cell in its batch."""
+        """Index of the worker's current run in its batch."""
         return int(_HEAD.unpack_from(self._page)[1])
 
     @property
     def forkserver(self) -> int:
-        """Process id of the fork server; 0 before the process began."""
+        """Id of the process this worker was forked from; 0 before the worker began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
 
     @property
     def keeper(self) -> int:
-        """Process id of the fork server's keeper, which adopts orphans; 0 before it began."""
+        """Id of the process that adopts what this worker leaves running; 0 before it began."""
         return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[1])
 
     @property
@@ -198,7 +198,7 @@ class SharedStatus:
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
-    """Return the shared status in the process that it was sent to."""
+    """Rebuild the shared status in the process that it was sent to."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.close_descriptor()
     return notice
@@ -209,13 +209,13 @@ _process_status: list[SharedStatus] = []
 
 
 def set_phase(phase: Phase, cell_index: int | None = None) -> None:
-    """Set the phase of this process in its shared status, and the index of its cell."""
+    """Tell the supervisor the phase that this process is in, and the index of its run."""
     for notice in _process_status:
         notice.set_phase(phase, cell_index)
 
 
 def discard_output() -> None:
-    """Discard the output captured from this process so far, as another cell begins."""
+    """Discard the output captured from this process so far, as another run begins."""
     for notice in _process_status:
         notice.output.discard()
 
@@ -226,7 +226,7 @@ def truncation_note() -> str:
 
 
 def run_target(notice: SharedStatus, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    """Run the target of a worker process; record an exception as the reason of its end."""
+    """Run the main function of a worker process; record an exception as the reason of its end."""
     _process_status[:] = [notice]
     notice.begin()
     notice.output.redirect()

@@ -26,7 +26,7 @@ __all__ = ["worker"]
 
 
 def _compile_kernels() -> None:
-    """Run every compiled kernel once, so that forked workers need not compile."""
+    """Call all Numba-compiled code once, so that forked workers need not compile it."""
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     for loads, columns in ((None, 3), (np.zeros(6), 9)):

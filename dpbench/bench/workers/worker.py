@@ -71,13 +71,13 @@ def pin_to_core(core: int) -> None:
 
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
-    """Write an outcome to a verdict file, for the supervisor."""
+    """Write the outcome of a run or file to a JSON file, for the supervisor."""
     write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """One cell of a batch, with all that a worker process needs to run and judge it.
+    """One run of a batch, with all that a worker process needs to do and judge it.
 
     outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.
@@ -117,7 +117,7 @@ def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
 
 
 def _find_open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
-    """Return the first unfinished round and step of a raw log, none of the `known` steps."""
+    """Return the first unfinished round and step of a run, by its log, except `known` steps."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -133,7 +133,7 @@ def _find_open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
 
 
 def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
-    """Load the cell's solver in this process and return its workspace, memory limited."""
+    """Load the run's solver in this process and return its workspace, memory limited."""
     if settled:
         discard_output()
         reset_peak_memory()
@@ -159,7 +159,7 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
 def _open_or_refuse(
     cell: Cell, folder: Path, name: str, *, settled: bool = False
 ) -> Workspace | None:
-    """Return the cell's workspace; None, with a verdict "refused", where the solver refuses."""
+    """Return the run's solver workspace; None, and outcome "refused", where it cannot be opened."""
     try:
         return _open_workspace(cell, settled=settled)
     except InputError as error:
@@ -169,7 +169,7 @@ def _open_or_refuse(
 
 
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Run cells of one configuration in turn, each with a raw log and a verdict file."""
+    """Do runs of one solver configuration in turn; each leaves a raw log and an outcome file."""
     pin_to_core(core)
     for i, batch_cell in enumerate(cells):
         set_phase(Phase.HARNESS, i)
@@ -193,14 +193,14 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
 
 def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
-    """Return a function that creates a cell's raw log, or opens that of a hung process."""
+    """Return a function that creates a run's raw log, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
 def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Run the closed loop of a cell and return its outcome."""
+    """Run a closed loop with a solver, record it, and return its outcome."""
     scenario = cached_scenario(cell.scenario).first(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
@@ -224,7 +224,7 @@ def _run_closed_loop(
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Replay all rounds of a cell whose times are not compared, and return its outcome."""
+    """Do all rounds of a replay whose times are not compared, and return its outcome."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _prepare_replay(
@@ -247,7 +247,7 @@ def _describe_last_round(log: RawLog) -> str:
 def _make_outcome(
     cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
 ) -> Outcome:
-    """Return the outcome of a cell that ended by itself; `stopped` tells of its time limit."""
+    """Return the outcome of a run that ended by itself; `stopped` tells of its time limit."""
     details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
     if timed_solver.details:
         # The library's most frequent words on its failures.
@@ -260,7 +260,7 @@ def _make_outcome(
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """An order to serve one replay: its cell, source file, folder and name."""
+    """An order to a worker to do one replay: its description, file of QPs, folder and name."""
 
     cell: str
     source: Path
@@ -270,7 +270,7 @@ class ReplayOrder:
 
 
 def serve_replays(core: int, orders: Connection) -> None:
-    """Serve ordered replays of one configuration in turn, one round per order.
+    """Do replays with one solver configuration in turn, one round per order from a pipe.
 
     An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are True
     when it is ready, whether each round was completed, and True when its verdict is written; None
@@ -296,7 +296,7 @@ def serve_replays(core: int, orders: Connection) -> None:
 def _serve_replay(
     order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
 ) -> bool:
-    """Serve the rounds of one replay and write its verdict; return False where it is refused."""
+    """Do one replay's rounds on order and write its outcome; return False where refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
     workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
@@ -340,7 +340,7 @@ def _prepare_replay(
     memory: MemoryWatch | None = None,
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    """Return a replay ready for its rounds, its timed solver and its raw log."""
+    """Set up a replay; return it ready for its rounds, with its timed solver and raw log."""
     steps, timed_solver, log = replay_parts(
         sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
@@ -361,7 +361,7 @@ def _prepare_replay(
 
 
 def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
-    """Replay every ordered sequence with a new workspace of one configuration.
+    """Replay each sequence of QPs ordered over a pipe, with the solver opened anew each time.
 
     An order is a sequence and its time limit [s], the reply whether it was completed; None ends the
     service. The first reply is True, or the reason why the configuration cannot run.
@@ -386,7 +386,7 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make a cell's source file at `path` unless it is readable; write a verdict."""
+    """Make the file of a run's QPs at `path` unless it is readable; write the outcome."""
     pin_to_core(core)
     disable_gc_and_warnings()
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
@@ -403,7 +403,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Judge the raw logs of several cells in a process that has not loaded their solver.
+    """Judge the raw logs of several runs in a process that has not loaded their solver.
 
     Their part appears in `folder` as `<name of the first>.judged`.
     """
@@ -421,7 +421,7 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
 
 
 def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
-    """Return the row and the steps of a cell, from its raw log."""
+    """Judge a run from its raw log; return its row and its steps for the result tables."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
     evaluated = _evaluate_log(cell, batch_cell.source, log)
@@ -432,7 +432,7 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
 
 
 def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
-    """Return the evaluated raw log of a replay or a closed loop."""
+    """Evaluate the raw log of a replay or closed loop; return step columns and metrics."""
     if cell.mode == "replay":
         known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
@@ -441,5 +441,5 @@ def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
 
 @lru_cache(maxsize=1)
 def _load_exact_loop(path: Path) -> ExactLoop:
-    """Return the exactly solved loop in a file; the latest is kept for the next cells."""
+    """Return the exactly solved loop in a file; the latest is kept for the next runs."""
     return ExactLoop.load(path, with_optima=False)

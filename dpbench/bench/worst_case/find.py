@@ -37,7 +37,7 @@ _WORDS = {"timed_out": "slow"}
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """Result of a worst-case search: the goal, the cell, the search and its saved files.
+    """Result of a search for a solver's worst step: goal, solver, search and saved files.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class WorstCase:
 
     @property
     def worst(self) -> WorstStep | None:
-        """The worst step found; None where no step had a figure."""
+        """The worst step found; None where no step could be rated by the goal."""
         return None if self.search.best is None else self.search.best.worst
 
     @property
@@ -64,7 +64,7 @@ class WorstCase:
 
     @property
     def lines(self) -> list[str]:
-        """The result of a worst-case search in words, a line each."""
+        """The result of a worst-case search in words: worst step, comparison, failures."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         headline = "nothing found"
@@ -104,7 +104,7 @@ def find_worst_case(
     solver_module: str | Path | None = None,
     progress: Progress | None = None,
 ) -> WorstCase:
-    """Search for a solver's worst step over variants of a scenario, and save its sequence.
+    """Search for a solver's worst step over variants of a scenario, and save these QPs.
 
     Ctrl-C ends the search early with the best case so far.
 
@@ -169,7 +169,7 @@ def _check_writable(path: Path) -> None:
 def _make_baseline_cell(
     solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
 ) -> Cell:
-    """Return the cell that replays the unchanged scenario with the solver."""
+    """Return the run that replays the QPs of the unchanged scenario with the solver."""
     row = find_record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
@@ -188,7 +188,7 @@ def _make_baseline_cell(
 
 
 def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Save the worst case and the first case of each failure; return the result with paths."""
+    """Save the QPs of the worst case and of the first of each failure; return their paths."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,
@@ -213,7 +213,7 @@ def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
 
 
 def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
-    """Save one case's sequence, with what happened to the solver as metadata."""
+    """Save the QPs of one scenario variant, with what happened to the solver as metadata."""
     scenario, worst = case.scenario, case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:

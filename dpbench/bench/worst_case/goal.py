@@ -41,7 +41,7 @@ class WorstStep:
     score: float
 
     def describe_figure(self, goal: Goal) -> str:
-        """Return the step's iterations or error in words, as the goal asks."""
+        """Return the step's solver iterations or error in words, as the goal asks."""
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
@@ -52,7 +52,7 @@ class WorstStep:
 
 
 def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
-    """Return the worst step of a replay's counting rounds; None where no step has a figure.
+    """Return the worst step of a replay, by iterations or error; None if none can be rated.
 
     Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
     claimed counts its `error_plan`; one that is declined (no claim, or a failure) counts at most
@@ -90,7 +90,7 @@ def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
 
 
 def _error_objective(evaluated: EvaluatedCell) -> Floats:
-    """Return how bad each step's answer is by its error; inf for a false claim."""
+    """Return how bad each step's answer is by its error; inf for a false claim of the solver."""
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

@@ -38,11 +38,11 @@ _POPULATIONS = (8, 16, 32)
 
 
 class _BudgetError(Exception):
-    """Raised within a search when its budget is spent."""
+    """Raised within a worst-case search when its number of trials is used up."""
 
 
 class SearchedSolver:
-    """A solver configuration in a worker process that answers sequences one after the other."""
+    """A solver in a worker process that solves sequences of QPs one after the other."""
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
@@ -63,7 +63,7 @@ class SearchedSolver:
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
-        """Replay a sequence within `limit_s`; return the outcome and the evaluated columns."""
+        """Replay a sequence of QPs within `limit_s` [s]; return outcome and evaluated steps."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
@@ -96,7 +96,7 @@ class Case:
 
 
 class Search:
-    """A search for the case with a solver's worst step, by differential evolution.
+    """A search for the scenario variant with a solver's worst step, by differential evolution.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """Evaluate the unchanged scenario, then search until the budget is spent.
+        """Replay the unchanged scenario, then search its variants until all trials are used up.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Search:
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
     def _evolve(self, rng: np.random.Generator) -> None:
-        """Minimise the cost of points by differential evolution, again and again, until stopped."""
+        """Search scenario variants for the worst step by differential evolution, until stopped."""
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
@@ -170,7 +170,7 @@ class Search:
             )
 
     def _point_cost(self, point: Floats) -> float:
-        """Return minus the score of a point; infinite where it has none."""
+        """Return the cost of a scenario variant: the worse its worst step, the lower; else inf."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
@@ -182,7 +182,7 @@ class Search:
         return np.inf if worst is None else -worst.score
 
     def _evaluate_case(self, point: Floats) -> WorstStep | None:
-        """Replay the variant at a point, keep it if worst so far, and return its worst step."""
+        """Replay the scenario variant at a point, keep it if worst; return its worst step."""
         try:
             scenario = self._space.build_variant(point)
             sequence = record_sequence(scenario)

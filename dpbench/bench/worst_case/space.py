@@ -59,11 +59,11 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> int:
-        """Length d of a point of the search space."""
+        """Number d of parameters that make a variant of the scenario."""
         return _FIRST_FAULT if self._first_fault_s is None else _FIRST_FAULT + 1
 
     def build_variant(self, point: Vector) -> Scenario:
-        """Return the scenario at a point (d,) of [−1, 1]^d."""
+        """Return the scenario variant that a point (d,) in [−1, 1]^d describes."""
         files = copy.deepcopy(self._files)
         files["name"] = self._name
         table = files["scenario"]
@@ -102,5 +102,5 @@ class SearchSpace:
 
 
 def _scale_to_time(share: float, duration_s: float, sample_s: float) -> float:
-    """Return the time [s] of a share: −1 is the first sample, 1 the last."""
+    """Return the time [s] for a number in [−1, 1]: −1 is the first sample, 1 the last."""
     return float(0.5 * (1.0 + share) * (duration_s - sample_s))
