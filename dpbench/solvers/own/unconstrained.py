@@ -15,7 +15,7 @@ from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missi
 
 
 class UnconstrainedWorkspace(Workspace):
-    """The law z = −P⁻¹q (eq. 27), with the Cholesky factor of P kept from step to step."""
+    """The unconstrained optimum z = −P⁻¹q as a solver; P's Cholesky factor is kept over steps."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
