@@ -32,13 +32,13 @@ class _TerseParser(argparse.ArgumentParser):
     """An argument parser that prints an error on one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the error on one line and exit with code 2."""
+        """Print an error in the command line on one line and exit with code 2."""
         print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
         raise SystemExit(2)
 
 
 def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
-    """Make the parser of all commands; `calls` has the function that runs each command."""
+    """Make the command line's parser; `calls` maps commands to the functions that run them."""
     whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
@@ -67,21 +67,21 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
 
 
 def _list_stored_files(kind: str, **_: object) -> list[str]:
-    """List the names of stored files of a kind, for shell completion."""
+    """List names of stored vessels, scenarios, suites or QP sequences, for shell completion."""
     from dpbench.scenario.problem_files import problem_names
 
     return problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:
-    """List the names of all solvers, for shell completion."""
+    """List the names of all QP solvers that dpbench can run, for shell completion."""
     from dpbench.solvers.table import solver_names
 
     return list(solver_names())
 
 
 def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """Add an option that takes a value, with metavar and help text."""
+    """Add an option that takes a value to a command's parser, with value name and help text."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
@@ -100,7 +100,7 @@ def _add_run_arguments(run: Command) -> None:
 
 
 def _add_suite_arguments(run: Command) -> None:
-    """Add the arguments that select a suite, its cells, and waiting for other campaigns."""
+    """Add arguments that select a suite of runs, some of its runs, and how to wait for a lock."""
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
@@ -143,7 +143,7 @@ def _add_gather_arguments(gather: Command) -> None:
 
 
 def _add_ending_arguments(command: Command) -> None:
-    """Add the options --open, --json and --quiet."""
+    """Add the options --open, --json and --quiet to a command's parser."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
@@ -223,7 +223,7 @@ def _add_list_arguments(listing: Command) -> None:
 
 
 def _pluralise(word: str) -> str:
-    """Return `solvers` for `solver`, and any word that is no listed kind unchanged."""
+    """Return a kind for `dpbench list` in plural, `solvers` for `solver`; other words unchanged."""
     return f"{word}s" if f"{word}s" in _LISTED else word
 
 

@@ -32,7 +32,7 @@ def make_folder(path: Path) -> Path:
 
 
 def new_file(path: Path) -> Path:
-    """Make an empty regular file, replacing a file or link of that name."""
+    """Make an empty regular file at a path, replacing a file or link of that name."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(path, flags, 0o666))
@@ -86,7 +86,7 @@ def write_named_file(path: Path, content: bytes) -> None:
 
 
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
-    """Write all files of a folder, and remove files that an earlier call wrote.
+    """Write a set of files into a folder, and remove files of an earlier set that are not in it.
 
     `contents` makes the bytes of each file by name; `file_list_path` records the names;
     no other file is removed. InputError: the folder is a link, or a name is none of a file in it.

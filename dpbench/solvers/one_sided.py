@@ -19,7 +19,7 @@ Box = Literal["native", "rows"]
 
 
 class LimitSides:
-    """Indices of equalities, finite upper limits and finite lower limits of a block of rows."""
+    """Which of a block of constraint rows are equalities or have a finite upper or lower limit."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -32,16 +32,16 @@ class LimitSides:
 
     @staticmethod
     def encode_pattern(low: Vector, high: Vector) -> bytes:
-        """Return bytes that encode which limits are equal and which are infinite."""
+        """Encode as bytes which rows are equalities and which limits are infinite, to compare."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
     def has_same_pattern(self, low: Vector, high: Vector) -> bool:
-        """Return whether the same limits are equal or infinite as at construction."""
+        """Return whether the same rows are equalities or unlimited as at construction."""
         return self.encode_pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
-        """Write upper and negated lower limits into `h`, and limits of equalities into `b`."""
+        """Write two-sided limits as one-sided: [upper; −lower] into `h`, equalities' into `b`."""
         if self.full:
             h[: self.size] = high
             np.negative(low, out=h[self.size :])
@@ -75,7 +75,7 @@ class LimitSides:
 
 
 class OneSidedForm:
-    """A two-sided QP as G z ≤ h, A z = b, with constant matrices and buffers for q, h, b.
+    """A QP with two-sided limits rewritten as G z ≤ h, A z = b, updated in place at each step.
 
     Parameters
     ----------
@@ -111,11 +111,11 @@ class OneSidedForm:
         self.h, self.b = h if h.size else None, b if b.size else None
 
     def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Return whether the same row limits are equal or infinite as in the original problem."""
+        """Return whether the same rows are equalities or unlimited as in the original QP."""
         return self._sides.has_same_pattern(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
-        """Write q and the row limits l, u of a step into the buffers q, h and b."""
+        """Write a step's q and two-sided row limits l, u into the one-sided QP's q, h and b."""
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
@@ -126,7 +126,7 @@ class OneSidedForm:
         return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
 
     def split_multipliers(self, y: Vector, y_box: Vector, dual: Vector) -> None:
-        """Write two-sided multipliers into `dual`, equalities first; box "rows" only."""
+        """Write multipliers of two-sided rows and bounds into `dual` as one-sided."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
         self._sides.split_multipliers(y, z[: self._rows], equal[: self._equalities])

@@ -62,7 +62,7 @@ os._exit(0)
 
 @dataclass(frozen=True)
 class Plugin:
-    """A third-party solver: adapter, version or file digest, and where it was loaded from."""
+    """A third-party solver: how to call it, version or file checksum, where it was loaded from."""
 
     adapter: NativeAdapter
     version: str
@@ -70,7 +70,7 @@ class Plugin:
 
     @property
     def record(self) -> SolverRecord:
-        """Record of the solver: name, method, abilities."""
+        """Facts about the plug-in solver: name, method, abilities."""
         return self.adapter.record
 
 
@@ -92,7 +92,7 @@ def solver_record(
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """Make the record of a plug-in solver that has route native only.
+    """Make the facts of a plug-in solver: name, method, and abilities of its own interface.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def solver_record(
 
 
 def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
-    """Load the plug-in of a Python file; InputError if it fails or has a name in `taken`."""
+    """Load a solver from a Python file; InputError if it fails or its name is in `taken`."""
     where, file = _check_file_exists(path)
     module = _import_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
@@ -199,7 +199,7 @@ def _entry_points() -> dict[str, metadata.EntryPoint]:
 
 
 def find_plugin(name: str) -> Plugin | None:
-    """Return a plug-in by name, None if there is none; InputError if it fails to load."""
+    """Return a plug-in solver by name; None if there is none, InputError if it fails to load."""
     if name in _LOADED:
         return _LOADED[name]
     point = _entry_points().get(name)
@@ -227,7 +227,7 @@ def loaded_names() -> tuple[str, ...]:
 def _register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
-    """Check a plug-in's RECORD and open(), and add it to the loaded plug-ins."""
+    """Check a loaded plug-in's RECORD and open(), and add it to the known solvers."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
@@ -250,7 +250,7 @@ def _register_plugin(
 
 
 def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
-    """Return a plug-in's tolerance presets: LEVELS, its old name LADDER, or those of its record."""
+    """Return a plug-in's presets of solver options by tolerance level."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))

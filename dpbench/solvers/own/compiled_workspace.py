@@ -40,7 +40,7 @@ class CompiledWorkspace(Workspace):
         self._unusual: Solution
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Write `qp` into the work array; a P not positive definite is an ERROR at solve."""
+        """Write `qp` into the work array; if P is not positive definite, solving ends in ERROR."""
         self._write_problem(qp.copy())
 
     def _write_problem(self, qp: QuadraticProgram) -> None:

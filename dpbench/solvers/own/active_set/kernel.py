@@ -174,7 +174,7 @@ def set_duplicate_aside(S: Matrix, H: int, j: int, lam: float) -> int:
 
 @compiled
 def find_blocking_row(S: Matrix, j: int, side: float, w: int, dependent: bool) -> tuple[int, float]:
-    """Return position and step length of the first multiplier to reach zero; (−1, inf) if none."""
+    """Find the active row whose multiplier is first to reach zero as row j's rises; −1 if none."""
     blocking, t_dual = -1, inf
     for k in range(w):
         i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
