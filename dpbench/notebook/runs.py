@@ -114,7 +114,7 @@ class Run:
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
     def _describe_control(self) -> dict[str, str]:
-        """Return a closed loop's position errors and failed solves, as text by field name."""
+        """Return a closed loop's position errors and number of fallbacks, as text by field name."""
         if self.scenario is None:
             return {}
         row = self.summary

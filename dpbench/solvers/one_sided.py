@@ -37,7 +37,7 @@ class LimitSides:
         return b"".join(part.tobytes() for part in parts)
 
     def has_same_pattern(self, low: Vector, high: Vector) -> bool:
-        """Return whether the same rows are equalities or unlimited as at construction."""
+        """Return whether the same limits are equal or infinite as when the rows were sorted."""
         return self.encode_pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
@@ -52,18 +52,18 @@ class LimitSides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the one-sided inequality rows and the equality rows of the row block M."""
+        """Return rows [M; −M] with a finite limit, as inequalities, and the equality rows of M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
     def split_multipliers(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """Split two-sided multipliers y into z ≥ 0 of inequality rows and y of equality rows."""
+        """Split multipliers of two-sided rows into those of inequalities, ≥ 0, and equalities."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
     def merge_multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Merge multipliers z of inequality and y of equality rows into two-sided ones."""
+        """Merge multipliers of inequalities and equalities into those of two-sided rows."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -111,7 +111,7 @@ class OneSidedForm:
         self.h, self.b = h if h.size else None, b if b.size else None
 
     def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Return whether the same rows are equalities or unlimited as in the original QP."""
+        """Return whether the same row limits are equal or infinite as in the QP first given."""
         return self._sides.has_same_pattern(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
@@ -120,7 +120,7 @@ class OneSidedForm:
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """Convert multipliers of G and A into two-sided y (m,) and y_box (n,); box "rows" only."""
+        """Convert multipliers of G z ≤ h, A z = b to those of two-sided rows and bounds."""
         assert self._box is not None, "bounds have to be rows"
         rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
         return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
@@ -136,7 +136,7 @@ class OneSidedForm:
     def convert_qpsolvers_multipliers(
         self, z: Any, y: Any, z_box: Any
     ) -> tuple[Vector, Vector] | None:
-        """Convert multipliers of qpsolvers into y (m,) and y_box (n,); None if absent."""
+        """Convert qpsolvers' multipliers to those of two-sided rows and bounds; None if absent."""
         z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
         y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:

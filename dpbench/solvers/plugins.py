@@ -125,7 +125,7 @@ def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
 
 
 def try_file(path: str | Path) -> None:
-    """Run a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
+    """Try a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
     where, file = _check_file_exists(path)
     command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
     null = subprocess.DEVNULL

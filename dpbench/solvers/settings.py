@@ -70,7 +70,7 @@ def _options_at_tolerance(solver: str, name: str) -> Options | None:
 
 
 def level_options(name: str, solver: str) -> Options:
-    """Return the options of a solver's settings name; SettingsError if there is none."""
+    """Return the options of a solver's preset or tolerance; SettingsError if there is none."""
     names, options = setting_names(solver), _options_at_tolerance(solver, name)
     if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
