@@ -172,7 +172,7 @@ def describe_holders(lock: int) -> str:
 
 
 def _read_kernel_holders(lock: int) -> list[Holder]:
-    """Return the processes that hold a lock according to /proc/locks."""
+    """Return the processes that hold a file's lock according to Linux's /proc/locks."""
     status = os.fstat(lock)
     device = status.st_dev
     place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"

@@ -88,7 +88,7 @@ def _print_warning(
 
 
 def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
-    """Run a parsed command, print its errors on one line; return the exit code."""
+    """Run a parsed command; print an error on one line; return the exit code."""
     try:
         if sys.flags.optimize > 1:
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
@@ -129,7 +129,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
-    """Print that the command was interrupted; return its exit code."""
+    """Print that a command was stopped by a signal; return its exit code."""
     resumes = arguments.call in (_run_suite, _run_shard)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
@@ -201,7 +201,7 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 
 def _rewrite_report(arguments: argparse.Namespace) -> None:
-    """Write the report of a result folder again (`dpbench report`)."""
+    """Write the report of an existing result folder again (`dpbench report`)."""
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
@@ -214,7 +214,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> None:
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:
-    """Print the shell code that sets up completion (`dpbench completion`)."""
+    """Print shell code that completes dpbench's words on Tab (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
@@ -293,7 +293,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
-    """Search for a solver's slowest or least accurate step (`dpbench worst-case`)."""
+    """Search for a solver's slowest or least accurate control step (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 

@@ -129,7 +129,7 @@ def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -
 
 
 def _parse_sea_number(text: str | None) -> int | None:
-    """Parse the DP capability number of the sea, 1 to 9; InputError for another."""
+    """Parse the DP capability number of the sea, 1 to 9; InputError for other text."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
@@ -137,7 +137,7 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """Make a ship from the options by scaling the nearest library vessel."""
+    """Make the user's ship from its options, by scaling the nearest library vessel."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
@@ -165,7 +165,7 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
 
 
 def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
-    """Read length, breadth, draught and displacement from options or hull file."""
+    """Read the ship's length, breadth, draught and displacement from options or hull file."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -221,7 +221,7 @@ def _restate_command(options: argparse.Namespace) -> str:
 
 
 def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> None:
-    """Write text files into a folder; SituationError if one exists, unless `force`."""
+    """Write text files into a folder; SituationError if one exists, unless overwriting."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
             instead = "choose another name or folder (--out), or add --force to overwrite it"
@@ -257,7 +257,7 @@ class OwnShip:
 
 
 def vessel_text(ship: OwnShip, command: str) -> str:
-    """Render the vessel file of a new ship; `command` is quoted in its comments."""
+    """Render the vessel file of a new ship; the command that made it is quoted in comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
     added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
@@ -285,7 +285,7 @@ def _wrap_as_comment(caller: Callable[[], str]) -> str:
 
 
 def _form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
-    """Return hull form ratios L/B and L/∇^(1/3) of this ship and of the library vessel."""
+    """Return hull ratios L/B and L/∇^(1/3) of the user's ship and of its library vessel."""
     own, library = ship.own, scaling.LIBRARY[ship.like]
     volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
     slender = own.length_m / math.cbrt(volumes_m3[0]), library.length_m / math.cbrt(volumes_m3[1])

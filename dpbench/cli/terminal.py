@@ -47,7 +47,7 @@ def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
 
 
 def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines, wrapped at 80 columns with a hanging indent of two."""
+    """Print lines of text, wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
         print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
 
@@ -126,7 +126,7 @@ def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Na
 
 
 class ProgressBar:
-    """A terminal progress bar with the time left, optionally transient or quiet."""
+    """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet

@@ -41,7 +41,7 @@ def new_file(path: Path) -> Path:
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Yield a new file that replaces `path` when the block ends, or not at all."""
+    """Yield a new file that replaces the one at `path` when the block ends, or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -78,7 +78,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_named_file(path: Path, content: bytes) -> None:
-    """Write bytes to a file that the user named, which may be a device or a pipe."""
+    """Write bytes to a file of the user's choice, which may be a device or a pipe."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)
     else:

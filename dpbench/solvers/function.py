@@ -47,7 +47,7 @@ class FunctionWorkspace(Workspace):
             self._solution = self._make_error_solution(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
-        """Return a copy of the function's answer."""
+        """Return a copy of the answer that the user's function gave."""
         answer = self._solution
         if answer is None:
             return self._make_error_solution("read before solve")

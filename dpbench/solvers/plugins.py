@@ -150,7 +150,7 @@ def try_file(path: str | Path) -> None:
 
 
 def run_quietly(where: str, file: str) -> None:
-    """Import a plug-in's file and ignore all its exceptions, inside a trial process."""
+    """Run a plug-in's file in a trial process, ignoring exceptions: only a crash matters."""
     with suppress(InputError):
         _import_file(where, Path(file))
 
@@ -164,7 +164,7 @@ def _check_file_exists(path: str | Path) -> tuple[str, Path]:
 
 
 def _import_file(where: str, file: Path) -> ModuleType:
-    """Execute a Python file as a new module; turn any exception into an InputError."""
+    """Execute a plug-in's Python file as a new module; turn any exception into an InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -188,13 +188,13 @@ def _describe_raised(error: BaseException) -> str:
 
 
 def entry_point_names() -> tuple[str, ...]:
-    """List the names of plug-in solvers of installed distributions, without loading them."""
+    """List the names of plug-in solvers in installed packages, without loading them."""
     return tuple(sorted(_entry_points()))
 
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points of installed plug-in solvers, by name."""
+    """Return plug-in solvers that installed packages declare as entry points, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
@@ -257,7 +257,7 @@ def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
 
 
 def _wrap_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
-    """Wrap a plug-in's open() so that a result that is not a Workspace raises InputError."""
+    """Wrap a plug-in's open() so that InputError is raised if it does not return a solver."""
 
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)

@@ -237,7 +237,7 @@ class SolverRecord:
 
     @property
     def deployment_blocker(self) -> str:
-        """Reason why the solver cannot be deployed on a ship; "" if it can.
+        """Reason why the solver cannot run on a ship's controller; "" if it can.
 
         Compiled code whose language the project documents is deployable.
         """

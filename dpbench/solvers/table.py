@@ -60,7 +60,7 @@ class Availability:
 
     @property
     def identity(self) -> str:
-        """Version and build of the library, as one text."""
+        """Version of the solver's library and instruction set it was built for, as one text."""
         return f"{self.version} {self.build.text}".strip()
 
 
@@ -209,7 +209,7 @@ def _check_qpsolvers_availability(name: str) -> Availability:
 
 
 class HiddenModules(MetaPathFinder):
-    """An import finder that makes the named modules fail to import.
+    """An import hook that makes modules of given names fail to import.
 
     None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
     """
@@ -218,7 +218,7 @@ class HiddenModules(MetaPathFinder):
         self._names = frozenset(names)
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        """Raise ModuleNotFoundError for a hidden module; return None for others."""
+        """Raise ModuleNotFoundError for a module that is to stay hidden; return None for others."""
         if fullname in self._names:
             raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
 

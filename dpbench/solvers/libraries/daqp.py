@@ -147,7 +147,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = self._update(*self._vectors)
 
     def solve(self) -> None:
-        """Call DAQP directly, without handling of exceptions unless an earlier call failed."""
+        """Call DAQP; if it refused the problem or failed before, keep that as the result."""
         if self._refused or self._failure:
             super().solve()
             return

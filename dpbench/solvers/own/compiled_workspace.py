@@ -124,7 +124,7 @@ class CompiledWorkspace(Workspace):
         return answer
 
     def _copy_current_problem(self) -> QuadraticProgram:
-        """Return a copy of the QP in the work array."""
+        """Return a copy of the QP that is to be solved, from the work array."""
         assert self._base is not None and self._S is not None
         base = self._base_with_current_rows(self._base)
         q, low, high = (array.copy() for array in vector_views(self._S, base.n, base.m))
@@ -144,6 +144,6 @@ class CompiledWorkspace(Workspace):
         return Solution.missing(self._base.n, self._base.m, status, detail)
 
     def reset(self) -> None:
-        """Make the next solve start from an empty active set."""
+        """Make the next solve start without a warm start, from an empty active set."""
         if self._S is not None:
             self._S[layout.HEAD, layout.STALE] = 1.0

@@ -134,7 +134,7 @@ class _ExactPoint:
         return max((abs(float(int(x) * unit)) for x in self.step), default=0.0)
 
     def excess_over(self, row: int, limit: float) -> float:
-        """Return an exact point's row value minus a limit, rounded only once."""
+        """Return an exact point's row value minus a limit of that row, rounded only once."""
         C = Dyadic.of(self.problem.C[[row]])
         over = C @ self.z - Dyadic.of(np.array([limit]))
         along = C.whole[0, self.columns] @ self.step if len(self.step) else 0
@@ -162,7 +162,7 @@ def _pivot_columns(C: Matrix) -> Indices:
 
 
 def _elimination_order(square: Matrix) -> Indices:
-    """Return the order of rows in which elimination meets no zero pivot."""
+    """Return an order of a matrix's rows in which Gaussian elimination meets no zero pivot."""
     if not len(square):
         return np.array([], dtype=np.intp)
     permutation, _, _ = scipy.linalg.lu(square, p_indices=True)

@@ -104,7 +104,7 @@ def shift_multipliers(S: Matrix, width: int) -> None:
 
 @compiled
 def compute_all_row_values(S: Matrix, H: int, width: int) -> None:
-    """Compute all row values C z from the multipliers: v = v₀ − C P⁻¹Cᵀ λ, v₀ without limits."""
+    """Compute all row values C z from the multipliers and the unconstrained optimum."""
     for i in range(width):
         S[V, i] = S[V0, i]
     for r in range(width):
@@ -209,7 +209,7 @@ class HildrethSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> HildrethSettings:
-        """Make settings from the solver's options; SettingsError unless all are positive."""
+        """Make stopping criteria from solver options; SettingsError unless all are positive."""
         for key, value in options.items():
             integer = key == "max_iter"
             if isinstance(value, bool) or not isinstance(value, int if integer else (int, float)):
@@ -221,7 +221,7 @@ class HildrethSettings:
 
 
 class HildrethWorkspace(CompiledWorkspace):
-    """Hildreth's dual coordinate method; `warm` keeps the multipliers between steps."""
+    """Hildreth's dual method as QP solver; `warm` keeps the multipliers between steps."""
 
     def __init__(
         self, solver: str, route: Route, policy: Policy, settings: HildrethSettings

@@ -60,7 +60,7 @@ def drop_ray_rounding(y, y_box):  # type: ignore[no-untyped-def] # compiled by n
 
 @njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
 def _largest_sum_along_ray(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
-    """Return Σ ray·limit, an upper bound on ray·values within limits, and the sum of |terms|."""
+    """Return the largest Σ ray·value that the limits allow, and the sum of its |terms|."""
     reach, size = 0.0, 0.0
     for i in range(len(ray)):
         if ray[i] != 0.0:
@@ -105,7 +105,7 @@ LONG_ROUNDS = 4
 
 
 def has_consistent_equalities(qp: QuadraticProgram) -> bool:
-    """Return whether equality rows of [A; I] are independent or exactly redundant.
+    """Return whether equality rows, bounds included, are independent or exactly redundant.
 
     Where long double is no longer than double, rows redundant to rounding count as exactly so.
     """
@@ -155,7 +155,7 @@ ROUNDS = 5
 def solve_carefully(
     qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
 ) -> Solution:
-    """Solve a strictly convex QP by the active-set method on an orthogonal factorisation.
+    """Solve a strictly convex QP by a slow active-set method, accurate by an orthogonal factor.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class _ProjectedProblem:
     projection: Projection
 
     def solve(self, start: Vector | None, contradiction: float) -> Solution:
-        """Solve by the active-set method and refine the answer on the final set."""
+        """Solve the QP by an active-set method and refine the answer on the final active set."""
         n, m = self.qp.n, self.qp.m
         outcome = self.projection.solve(
             self.qp.q, self.lower, self.upper, start=start, contradiction=contradiction

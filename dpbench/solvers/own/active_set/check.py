@@ -260,7 +260,7 @@ def is_refinement_settled(correction: float, before: float, size: float) -> bool
 
 @compiled
 def is_clearly_optimal(S: Matrix, P: int, coarse: float, size: float, correction: float) -> bool:
-    """Return whether the refined answer is optimal without a full check of every row.
+    """Return whether the refined answer is certainly optimal, without a check of all rows.
 
     What is left of it is no error of a row or of the gradient, and no row is violated by what v₀
     may be in error by where it is far longer than v.

@@ -37,7 +37,7 @@ def _allocate_aligned(rows: int, columns: int) -> Matrix:
 
 
 def new_problem_array(n: int, m: int) -> Matrix:
-    """Allocate the work array S of the compiled method for n variables and m rows."""
+    """Allocate the work array of dpbench's compiled solvers, for n variables and m rows."""
     n_pad, m_pad = _pad_length(n), _pad_length(m)
     width = n_pad + m_pad
     L = layout.block_starts(n_pad, width)[-1]

@@ -206,7 +206,7 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 
 @inlined
 def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
-    """Add plus or minus the effect of active rows' multipliers on all row values to a vector."""
+    """Add or subtract C P⁻¹Cᵀ λ, summed over active rows, to or from a vector of row values."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
         add_scaled_row(S, out, sign * S[LAM, i], H + i, ALL)
@@ -236,7 +236,7 @@ def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
 
 @compiled
 def recompute_values(S: Matrix, P: int, H: int) -> None:
-    """Recompute row values C z from z itself, and from them the values without constraints."""
+    """Recompute row values C z from z, and from them those of the unconstrained optimum."""
     multiply_by_rows(S, V, P, int(S[HEAD, N_PAD]) & MASK)
     for i in range(row_width(S)):
         S[V0, i] = S[V, i]
@@ -312,7 +312,7 @@ def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
 
 @inlined
 def choose_next_row(S: Matrix, H: int, noise: float) -> int:
-    """Return the next row to activate: a candidate, else the most violated of all; −1 if none."""
+    """Return the next violated row to activate, from a short list while it lasts; −1 if none."""
     many = row_width(S) > NARROW
     j = find_worst_candidate(S, H, noise) if many else -1
     if j < 0:
@@ -387,7 +387,7 @@ def write_changed_rows(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bo
 def write_changed_columns(
     S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector
 ) -> bool:
-    """Update columns of K = −P⁻¹Cᵀ or H = C P⁻¹Cᵀ of changed rows; True if zeros became nonzero."""
+    """Update changed rows' columns in P⁻¹Cᵀ or C P⁻¹Cᵀ; return if zeros became nonzero."""
     n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
     for r in range(block, block + rows):
         for c in range(len(first) - 1):

@@ -188,7 +188,7 @@ def find_blocking_row(S: Matrix, j: int, side: float, w: int, dependent: bool) -
 
 @compiled
 def activate_row(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
-    """Raise the multiplier of row j until the row is active; drop rows that block.
+    """Raise the multiplier of violated row j until it meets its limit; drop rows that block.
 
     A dependent row that nothing blocks is a contradiction, or the active rows written twice; with
     an infinite `size`, before values are refined, it is the former only where that is `GROSS`.

@@ -90,7 +90,7 @@ def inlined(function: F) -> F:
 
 
 def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
-    """Return the first row of each of the six matrices in the work array: K, P, H, J, A and L."""
+    """Return the first row of each of the six matrices that the solver's work array holds."""
     K = VECTORS
     P = K + n_pad
     H = P + n_pad
@@ -189,7 +189,7 @@ def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
 
 @compiled
 def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
-    """Return where a row's nonzero column ranges are stored: for bounds, rows of A or both."""
+    """Return in which columns a row's nonzero ranges are stored, for bounds, rows of A or both."""
     first = int(S[r, width]) if part == ROWS else 0
     end = int(S[r, width]) if part == BOUNDS else int(S[r, width + 1])
     return (width + 2 + 2 * first) & MASK, (width + 2 + 2 * end) & MASK

@@ -234,7 +234,7 @@ def empty_active_set(S: Matrix) -> int:
 
 @compiled
 def refactorise_active_set(S: Matrix, L: int, H: int) -> None:
-    """Factorise the unchanged active set again after H has changed."""
+    """Compute the active set's Cholesky factor anew after rows of A have changed."""
     for k in range(empty_active_set(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         add_to_start(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
@@ -384,7 +384,7 @@ def remove_squeezing_rows(S: Matrix, L: int, H: int, J: int, rest: int, size: fl
 
 @compiled
 def forces_equality(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
-    """Return whether row j at its limit exactly forces active rows that it combines onto theirs."""
+    """Return whether row j at its limit leaves the active rows it combines no room to move."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         if S[V0, k] < inf and side * S[SIDE, i] * S[R, k] * S[UNIT, j] > NONE * S[UNIT, i]:
@@ -430,7 +430,7 @@ def write_signed_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
 
 @compiled
 def is_stable_under_exchange(S: Matrix, rest: int, w: int) -> bool:
-    """Return whether exchanging active rows for dependent ones leaves no nearly dependent rows."""
+    """Return whether no exchange of active rows leaves nearly dependent ones."""
     for r in range(rest):
         partners = 0
         for k in range(w):
@@ -449,7 +449,7 @@ def is_stable_under_exchange(S: Matrix, rest: int, w: int) -> bool:
 
 @compiled
 def has_stable_minors(S: Matrix, r: int, q: int, w: int) -> bool:
-    """Return whether no 2 by 2 minor of two rows of coefficients is nearly but not exactly zero."""
+    """Return whether two rows of coefficients are clearly independent or exactly dependent."""
     for k in range(w):
         if S[r, k] != 0.0 or S[q, k] != 0.0:
             for c in range(k):
