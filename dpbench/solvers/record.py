@@ -158,7 +158,7 @@ NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 
 @dataclass(frozen=True)
 class RouteRecord:
-    """What a solver can do through one interface: policies, updates, warm start, known faults.
+    """What a solver can do through one interface: ways of starting, updates, known faults.
 
     Parameters
     ----------

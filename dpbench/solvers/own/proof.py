@@ -155,7 +155,7 @@ ROUNDS = 5
 def solve_carefully(
     qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
 ) -> Solution:
-    """Solve a strictly convex QP by a slow active-set method, accurate by an orthogonal factor.
+    """Solve a strictly convex QP by an accurate, slower active-set method: orthogonal factors.
 
     Parameters
     ----------

@@ -238,7 +238,7 @@ def refine_answer(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
 
 @compiled
 def correct_wrong_signs(S: Matrix, L: int, rounding: float) -> int:
-    """Zero wrong-signed multipliers within rounding, drop the rows of larger ones; count those."""
+    """Zero wrong-signed multipliers within rounding, drop others' rows; return how many drop."""
     dropped = 0
     for k in range((int(S[HEAD, COUNT]) & MASK) - 1, -1, -1):
         i = int(S[ACTIVE, k]) & MASK
