@@ -106,12 +106,12 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
 
 
 def file_list_path(folder: Path) -> Path:
-    """Return the path of the file that lists what `write_together` wrote into a folder."""
+    """Return the path of the list of files that dpbench wrote into a folder together."""
     return folder.with_name(f".{folder.name}.json")
 
 
 def _read_file_list(folder: Path) -> set[str]:
-    """Return the names of existing files that `write_together` wrote into a folder."""
+    """Return the names of existing files that dpbench wrote into a folder together."""
     path = file_list_path(folder)
     try:
         state = path.lstat()
@@ -126,5 +126,5 @@ def _read_file_list(folder: Path) -> set[str]:
 
 
 def _write_file_list(folder: Path, names: set[str]) -> None:
-    """Write the list of files that `write_together` has written into a folder."""
+    """Write the list of files that dpbench has written into a folder together."""
     write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")
