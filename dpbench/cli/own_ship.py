@@ -137,7 +137,7 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """Make the user's ship from its options, by scaling the nearest library vessel."""
+    """Make the user's ship from options by scaling a library vessel, the nearest by default."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
