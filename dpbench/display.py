@@ -7,7 +7,7 @@ from html import escape
 def table_html(
     heads: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", note: str = ""
 ) -> str:
-    """Make an HTML table with a title above and a note below it."""
+    """Make an HTML table of rows below column heads, with a title above and a note below."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     body = "".join(
         f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows
@@ -19,7 +19,7 @@ def table_html(
 
 
 def fields_html(title: str, fields: Mapping[str, object]) -> str:
-    """Make an HTML table with one row for each nonempty field of an object."""
+    """Make an HTML table with one row for each field, name and value, that is not empty."""
     rows = [(name, value) for name, value in fields.items() if str(value) != ""]
     return table_html((), rows, title=title)
 

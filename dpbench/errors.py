@@ -16,7 +16,7 @@ class DpbenchError(Exception):
 
 
 class InputError(DpbenchError, ValueError):
-    """Bad input by the user: where, which key, what was found, what is allowed.
+    """Bad user input: which file or option, which key, what was found, what is allowed.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class InputError(DpbenchError, ValueError):
 
 
 class SituationError(InputError):
-    """Bad input that is no single wrong value: one sentence with a remedy."""
+    """Bad user input that is no single wrong value: one sentence with what to do."""
 
     def __init__(self, where: str, sentence: str) -> None:
         super().__init__(where, "", sentence, "")
@@ -51,7 +51,7 @@ class ShapeError(InputError):
 
     @classmethod
     def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
-        """Make the error for array `name` of shape `found`."""
+        """Make the error for an array of a wrong shape, from its name and both shapes."""
         return cls(where, name, f"shape {found}", expected)
 
 
@@ -64,7 +64,7 @@ class SettingsError(InputError):
 
 
 class PolicyError(InputError):
-    """A route or policy that a solver does not offer; `allowed` carries the reason."""
+    """A solver interface, or way of starting each solve, that a solver does not offer."""
 
 
 class SolverUnavailableError(SituationError):
@@ -72,7 +72,7 @@ class SolverUnavailableError(SituationError):
 
 
 class ResultsError(InputError):
-    """A result folder or file that is missing, damaged or of another schema."""
+    """A result folder or file that is missing, damaged or of an unknown format version."""
 
 
 MOST_NAMES = 6
@@ -81,7 +81,7 @@ _NEAREST = 3
 
 
 def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
-    """Return all known names, or the three nearest to `text` and the command `listing`."""
+    """Return as text all known names, or the three nearest to `text` and a command for all."""
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
     # A text of a megabyte would be compared letter by letter.
@@ -91,13 +91,13 @@ def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
 
 
 class RenamedWarning(FutureWarning):
-    """Warning about an old name in a file or command, with the new name."""
+    """Warning about an outdated name in a user's file or command, with the new name."""
 
 
 def warn_renamed(where: str, old: str, new: str) -> None:
-    """Warn that `old`, found in `where`, is now called `new`."""
+    """Warn that a name in a user's file or command is outdated, and state the new one."""
     warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 
 
 class CertificateError(DpbenchError):
-    """A problem whose optimum the referee could not certify although it has one."""
+    """A QP whose optimum could not be proven in exact arithmetic although it has one."""

@@ -30,7 +30,7 @@ _NO_PLACE = "cannot cache function"
 
 
 def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
-    """Compile with Numba, cached on disk if any folder can be written."""
+    """Compile a function with Numba, cached on disk if any folder can be written."""
 
     def compiled(function: Function) -> Function:
         def with_options(given: dict[str, Any]) -> Function:
@@ -48,19 +48,19 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
 
 
 def cache_folders() -> list[Path]:
-    """Return the folders below which Numba keeps compiled kernels."""
+    """Return the folders below which Numba keeps compiled functions."""
     given = _config.CACHE_DIR
     return [Path(given)] if given else [PACKAGE, _user_cache_folder()]
 
 
 def _user_cache_folder() -> Path:
-    """Return Numba's cache folder of this user."""
+    """Return the folder in which Numba keeps compiled functions of this user."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
 def _make_own_cache() -> bool:
-    """Make a kernel cache in this process's temporary folder; return whether that worked."""
+    """Make a temporary folder for compiled functions and have Numba use it; return if it worked."""
     try:
         own = process_folder() / "kernels"
         own.mkdir()
@@ -73,7 +73,7 @@ def _make_own_cache() -> bool:
 
 
 def _link_kernels(sources: Path, own: Path) -> None:
-    """Link existing compiled kernels of one source folder into the new cache."""
+    """Link functions already compiled from one source folder into the new cache folder."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
     for place in (*given, sources / "__pycache__", _user_cache_folder() / name):

@@ -61,7 +61,7 @@ class WaitLimit:
 
 
 class BusyError(InputError):
-    """A lock that others still hold at the end of the wait."""
+    """A file or folder lock that other processes still hold at the end of the wait."""
 
 
 @contextmanager
@@ -86,7 +86,7 @@ def _hold_lock(
     patience: WaitLimit,
     say_waiting: Callable[[str], None],
 ) -> Iterator[int | None]:
-    """Wait for a file lock and hold it during the block; yield its descriptor or None."""
+    """Wait for a file or folder lock and hold it during the block; yield its descriptor or None."""
     with ExitStack() as stack:
         locked = None
         # Without a folder for the file, or on a disk that has no locks.
@@ -131,7 +131,7 @@ def lock_file(
 def lock_folder(
     folder: Path, *, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
-    """Wait for the exclusive lock of a folder and hold it; yield whether it is held."""
+    """Wait for a folder's exclusive lock, hold it during the block; yield whether it is held."""
     with _hold_lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
         yield lock is not None
 
@@ -157,7 +157,7 @@ def _wait_for_lock(
 
 
 def _try_lock(lock: int, how: int) -> bool:
-    """Lock an open file; return whether it was free. OSError where locks are missing."""
+    """Try to lock an open file; return whether it was free. OSError where locks are missing."""
     try:
         fcntl.flock(lock, how | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -172,7 +172,7 @@ def describe_holders(lock: int) -> str:
 
 
 def _read_kernel_holders(lock: int) -> list[Holder]:
-    """Return the processes that hold a lock according to /proc/locks."""
+    """Return the processes that hold a file's lock according to Linux's /proc/locks."""
     status = os.fstat(lock)
     device = status.st_dev
     place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"
@@ -189,7 +189,7 @@ def _read_kernel_holders(lock: int) -> list[Holder]:
 
 
 def _read_other_holders(lock: int) -> list[Holder]:
-    """Return other living processes named in a lock file; none for a folder."""
+    """Return other living processes that a lock file names as holders; none for a folder."""
     found: list[Holder] = []
     if stat.S_ISDIR(os.fstat(lock).st_mode):
         return found

@@ -27,7 +27,7 @@ ATTEMPTS = 10
 
 @contextmanager
 def temporary_folder(place: Path) -> Iterator[Path]:
-    """Make a private temporary folder, removed at the end of the block."""
+    """Make a private temporary folder below `place`, removed at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
@@ -40,7 +40,7 @@ def temporary_folder(place: Path) -> Iterator[Path]:
 
 
 def clear_abandoned(place: Path) -> None:
-    """Remove temporary folders of ended processes at a place."""
+    """Remove temporary folders that processes which have ended left below `place`."""
     for folder in place.glob(f"{PREFIX}*"):
         with try_lease(folder, FOLDER) as abandoned:
             if abandoned:
@@ -62,7 +62,7 @@ inherits, and without another reference would remove its parent's folder."""
 
 @cache
 def process_folder() -> Path:
-    """Return this process's temporary folder, removed at its end; OSError without a place."""
+    """Return this process's temporary folder, removed at its end; OSError if none can be made."""
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     _held.append(made)

@@ -37,7 +37,7 @@ _CELL = 15
 
 
 def capability_text(arguments: argparse.Namespace) -> str:
-    """Return the output of `dpbench capability`; InputError for a bad vessel or option."""
+    """Compute the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
     figure = _parse_figure_path(arguments.figure)
     for name in arguments.solver or ():
         if name != "all":
@@ -65,7 +65,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
 def _judge_solvers(
     frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """Run solvers on the QPs at the capability limit and count right and wrong answers."""
+    """Run solvers on the allocation QPs at a ship's wind limit; count right and wrong answers."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
@@ -80,7 +80,7 @@ def _judge_solvers(
 
 
 def _parse_figure_path(name: str | None) -> Path | None:
-    """Return the path of the figure to write; InputError for an unknown file type."""
+    """Return the file path given to --figure; InputError unless its ending is a figure type."""
     if name is None:
         return None
     path = Path(name)
@@ -105,7 +105,7 @@ def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> Non
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """Format the largest wind by direction and loss case as a table of 80 columns."""
+    """Format the largest wind held, by direction and lost thrusters, as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
@@ -127,13 +127,13 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
 
 
 def _format_wind_limit(held: WindLimit) -> str:
-    """Format a wind limit [m/s] and its DP capability number as a table cell."""
+    """Format the largest wind held [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard(held) else " "
     return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
 def _notation_lines(capability: Capability) -> list[str]:
-    """Explain the capability notation, the thrusters lost in each case and assumptions."""
+    """Explain a DP capability notation, the thrusters lost in each case and assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -149,7 +149,7 @@ def _notation_lines(capability: Capability) -> list[str]:
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
-    """Format a table of solvers with counts of right and wrong answers and solve times."""
+    """Format solvers' counts of right and wrong thrust allocations and solve times as a table."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
@@ -171,7 +171,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
 def make_json_report(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
-    """Return capability and solver results as a dictionary for JSON."""
+    """Return the largest winds held and the counts of solvers' right answers, for JSON."""
     return {
         "vessel": capability.vessel,
         "title": vessel.title,

@@ -22,7 +22,7 @@ CHECKED = (
 
 
 def check_file(name: str, progress: Progress | None = None) -> str:
-    """Check a stored name or a file, certify optima of sequences, and return a description."""
+    """Check a stored name or file of a ship, scenario, suite or QPs; return its description."""
     if problems.is_stored(name):
         return _check_sequence(problems.sequence_path(name), progress)
     # A scenario and a suite may have one name.
@@ -45,7 +45,7 @@ def check_file(name: str, progress: Progress | None = None) -> str:
 
 
 def _unknown_name_error(name: str) -> InputError:
-    """Return the error for an unknown name, with the nearest names of all kinds."""
+    """Return the error for a name that no vessel, scenario, suite or QP sequence has."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.problem_names(kind)]
     near = difflib.get_close_matches(name, names, n=3)
@@ -55,7 +55,7 @@ def _unknown_name_error(name: str) -> InputError:
 
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:
-    """Check a folder of submitted results, or of problems written by qpsolvers."""
+    """Check a folder of submitted results or of QPs written by qpsolvers; describe it."""
     from dpbench.report.documents.sent import SENDER, check_sent_folder
 
     if any(os.path.isfile(folder / name) for name in (SENDER, "runs.parquet")):
@@ -64,14 +64,14 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
 
 
 def _check_sequence(path: Path, progress: Progress | None) -> str:
-    """Certify the optimum of every step of a sequence and describe the outcome."""
+    """Certify the optimum of every QP in a file of QPs and describe the outcome."""
     from dpbench.bench.sequences.verify import verify_sequence
 
     return verify_sequence(path, progress)
 
 
 def _check_document(file: Path, progress: Progress | None) -> str:
-    """Check a vessel, scenario or suite file, recognised by its tables."""
+    """Check a TOML file of a vessel, scenario or suite, told apart by its tables; describe it."""
     document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress)
@@ -82,7 +82,7 @@ def _check_document(file: Path, progress: Progress | None) -> str:
 
 
 def _check_vessel(file: Path, progress: Progress | None) -> str:
-    """Validate a vessel file and describe the ship."""
+    """Validate a vessel file; return the ship's properties as text."""
     vessel = problems.read_model(file, VesselFile).build_vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
@@ -98,7 +98,7 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
-    """Validate a suite file and count its cells."""
+    """Validate a file that describes a suite of solver runs; return the number of runs as text."""
     from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
 
     of_suite = SuiteFile.list_cell_tables()

@@ -25,14 +25,14 @@ _TRIALS = 2 * len(OFFSETS_M)
 
 
 def vessel_text(file: Path, vessel: Vessel, progress: Progress | None = None) -> str:
-    """Describe a vessel and the sideways offsets from which two controllers recover."""
+    """Describe a ship, and from which sideways offsets two DP controllers bring it back."""
     tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
     first = f"{file.name}: a vessel, {vessel.title}"
     return _join_lines(first, [*ship_lines(vessel), *_try_offsets(tuned, progress)])
 
 
 def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | None = None) -> str:
-    """Describe a scenario: ship, weather load, and offsets from which it recovers."""
+    """Describe a scenario: ship, weather load, and sideways offsets that are recovered."""
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
@@ -45,7 +45,7 @@ def _join_lines(first: str, others: Sequence[str]) -> str:
 
 
 def ship_lines(vessel: Vessel) -> list[str]:
-    """Format limits, rise times and accelerations of a vessel by axis, as a table."""
+    """Format a ship's force limits, rise times and accelerations by axis, as a table."""
     kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
     limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
     units = (f"{kilo}N", f"{kilo}N", f"{kilo}N·m")
@@ -76,7 +76,7 @@ def _format_range(low: float, high: float) -> str:
 def _format_with_units(
     values: Vector, units: Sequence[str], most: Sequence[float] | Vector = 3 * (np.inf,)
 ) -> list[str]:
-    """Format numbers with units; "> limit" for a number above its limit."""
+    """Format each number with its unit, or as "> limit" where it exceeds its limit."""
     return [
         f"{_format_number(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
         for value, unit, limit in zip(values, units, most, strict=True)
@@ -89,7 +89,7 @@ def _format_number(value: float) -> str:
 
 
 def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
-    """Compare the force for 1 m/s of sideways speed with the limits, and state the current held."""
+    """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
     needs = ships.sideways_force(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.slow_speed(vessel)[ships.SWAY]
@@ -100,7 +100,7 @@ def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
 
 
 def _weather_line(scenario: Scenario) -> str:
-    """Format the mean weather force as percentages of the actuator limits."""
+    """State a scenario's mean weather force in percent of the actuator limits, by axis."""
     vessel = scenario.vessel
     load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
@@ -110,7 +110,7 @@ def _weather_line(scenario: Scenario) -> str:
 
 
 def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
-    """Simulate sideways offsets in still water and report which each controller recovers."""
+    """Simulate sideways offsets in still water; state from which each controller recovers."""
     progress = progress or Silent()
     progress.start(_TRIALS * len(tuned))
     lines = []
@@ -133,7 +133,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[s
 
 
 def _describe_bracket(bracket: Bracket, scale: float) -> str:
-    """Describe the largest offset that is recovered and the smallest that is not [m]."""
+    """State the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
         return f"holds calm water, from {holds} m sideways and all below"

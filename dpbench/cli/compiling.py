@@ -10,7 +10,7 @@ from dpbench.solvers.open import open_workspace
 
 
 def compile_all_kernels() -> None:
-    """Compile all Numba kernels that are not cached, and print the time taken."""
+    """Compile all Numba functions that are not yet in the disk cache; print the time taken."""
     absent = list_uncompiled_modules((OWN, LOOP))
     if not absent:
         return

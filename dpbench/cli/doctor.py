@@ -17,7 +17,7 @@ _WIDTH = 32
 
 
 def doctor_lines() -> list[str]:
-    """Describe this machine, how quiet it is, and whether the harness measures correctly."""
+    """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
     machine = describe_machine()
     harness = calibrate()
     available = ((name, check_availability(name)) for name in solver_names())

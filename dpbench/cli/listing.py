@@ -17,13 +17,13 @@ K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
 def list_table(kind: str) -> RenderableType:
-    """Make a table of all vessels, scenarios, suites, sequences or solvers."""
+    """Make a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
     makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
     return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()
 
 
 def _list_vessels() -> RenderableType:
-    """Describe all stored vessels: time constants and acceleration at full thrust."""
+    """Make a table of all stored vessels: time constants and acceleration at full thrust."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
 
@@ -40,7 +40,7 @@ def _list_vessels() -> RenderableType:
 
 
 def _list_scenarios() -> RenderableType:
-    """Describe all stored scenarios: vessel, tuning, horizons and number of steps."""
+    """Make a table of all stored scenarios: vessel, tuning, horizons and number of steps."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
@@ -56,7 +56,7 @@ def _list_scenarios() -> RenderableType:
 
 
 def _list_suites() -> RenderableType:
-    """Make a table of all stored suites with their number of cells."""
+    """Make a table of all stored suites with the number of solver runs in each."""
     from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import load_suite
     from dpbench.scenario import problem_files as problems
@@ -69,7 +69,7 @@ def _list_suites() -> RenderableType:
 
 
 def _list_sequences() -> RenderableType:
-    """Make a table of all stored QP sequences with their sizes and active limits."""
+    """Make a table of all stored QP sequences with QP sizes and numbers of active limits."""
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
@@ -92,14 +92,14 @@ def _list_sequences() -> RenderableType:
 
 
 def _list_solvers() -> RenderableType:
-    """Describe all solvers of the table and all plug-ins."""
+    """Describe all known QP solvers, plug-ins included, as text."""
     from dpbench.solvers.table import solver_names
 
     return unstyled_text("\n".join(map(_describe_solver, solver_names())))
 
 
 def _describe_solver(name: str) -> str:
-    """Describe a solver: version, method, policies and settings."""
+    """Describe a solver as text: version, method, start policies and tolerance settings."""
     from dpbench.solvers.settings import describe_levels
     from dpbench.solvers.table import check_availability, find_record
 

@@ -32,7 +32,7 @@ OLD_COMMANDS = {"hunt": "worst-case"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line, of this process if `argv` is None; return the exit code."""
+    """Run a dpbench command, by default that of this process; return the exit code."""
     if argv is not None:
         with first_signal_only() as interruption:
             return _run_until_signal(argv, interruption)
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run a command until it ends or a signal arrives; return the exit code."""
+    """Run a dpbench command until it ends or a stop signal arrives; return the exit code."""
     try:
         code = _call_command(argv, interruption)
     except KeyboardInterrupt:
@@ -65,7 +65,7 @@ def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
 
 
 def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
-    """Parse the words of a command line and run the command; return the exit code."""
+    """Parse a dpbench command line and run its command; return the exit code."""
     words = list(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
@@ -82,13 +82,13 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
 def _print_warning(
     message: Warning | str, category: type[Warning], *where: Any, **file: Any
 ) -> None:
-    """Print a warning on one line, with its class unless it is about a renamed word."""
+    """Print a Python warning on one line, with its class unless it is about a renamed word."""
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
 def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
-    """Run a parsed command, print its errors on one line; return the exit code."""
+    """Run a parsed command; print an error on one line; return the exit code."""
     try:
         if sys.flags.optimize > 1:
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
@@ -129,7 +129,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
-    """Print that the command was interrupted; return its exit code."""
+    """Print that a command was stopped by a signal; return its exit code."""
     resumes = arguments.call in (_run_suite, _run_shard)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
@@ -137,13 +137,13 @@ def _print_interrupted(arguments: argparse.Namespace) -> int:
 
 
 def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
-    """Return parsed arguments by name, except the command and those in `without`."""
+    """Return parsed command-line options by name, except the command and those in `without`."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
 def _print_estimate(arguments: argparse.Namespace) -> int:
-    """Print the estimated cells, time and size of a campaign (`run --dry-run`)."""
+    """Print the estimated number of runs, time and disk size of a suite (`run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
@@ -153,7 +153,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
 
 
 def _run_suite(arguments: argparse.Namespace) -> int:
-    """Run a suite and write its report (`dpbench run`)."""
+    """Run all solver runs of a suite and write the report (`dpbench run`)."""
     if arguments.dry_run:
         return _print_estimate(arguments)
     from dpbench.bench.campaign import run_campaign
@@ -169,7 +169,7 @@ def _run_suite(arguments: argparse.Namespace) -> int:
 
 
 def _print_accidents(out: Path) -> int:
-    """Print harness errors of a run, one per line; return exit code 1 if cells were lost."""
+    """Print failures of the benchmark itself, one per line; return 1 if runs were lost."""
     from dpbench.bench.record.result_folder import read_accidents
 
     lost, remarks = read_accidents(out)
@@ -179,7 +179,7 @@ def _print_accidents(out: Path) -> int:
 
 
 def _run_shard(arguments: argparse.Namespace) -> int:
-    """Run one shard of a suite and print where its results are (`dpbench cells`)."""
+    """Do one share of a suite's solver runs and print where the results are (`dpbench cells`)."""
     from dpbench.bench.campaign import run_campaign
     from dpbench.cli.terminal import ProgressBar
 
@@ -190,7 +190,7 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 
 
 def _gather_shards(arguments: argparse.Namespace) -> int:
-    """Merge the shards of a suite and write the report (`dpbench gather`)."""
+    """Merge the result folders of a suite's shares and write the report (`dpbench gather`)."""
     from dpbench.bench.gather import gather
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -201,7 +201,7 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 
 def _rewrite_report(arguments: argparse.Namespace) -> None:
-    """Write the report of a result folder again (`dpbench report`)."""
+    """Write the report of an existing result folder again (`dpbench report`)."""
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
@@ -214,7 +214,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> None:
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:
-    """Print the shell code that sets up completion (`dpbench completion`)."""
+    """Print shell code that completes dpbench's words on Tab (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
@@ -248,7 +248,7 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
 
 
 def _compare_releases(arguments: argparse.Namespace) -> None:
-    """Compare solver versions over result folders (`dpbench compare --releases`)."""
+    """Compare versions of solvers over several result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
@@ -260,7 +260,7 @@ def _compare_releases(arguments: argparse.Namespace) -> None:
 def _print_comparison(
     markdown: str, tables: Sequence[Table], lines: Sequence[str], file: str | None
 ) -> None:
-    """Print tables and lines of a comparison, or its Markdown to a file or the screen."""
+    """Print the tables and lines of a comparison; with `file`, write its Markdown there too."""
     from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 
     if file == "-":
@@ -293,7 +293,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
-    """Search for a solver's slowest or least accurate step (`dpbench worst-case`)."""
+    """Search for a solver's slowest or least accurate control step (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
@@ -304,7 +304,7 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
 
 
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
-    """Reproduce figures and claims of the paper (`dpbench paper`)."""
+    """Reproduce the figures and claims of the paper on DP by MPC (`dpbench paper`)."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
@@ -317,7 +317,7 @@ def _reproduce_paper(arguments: argparse.Namespace) -> int:
 
 
 def _print_listing(arguments: argparse.Namespace) -> None:
-    """Print a table of all files or solvers of a kind (`dpbench list`)."""
+    """Print a table of stored vessels, scenarios, suites, QPs or solvers (`dpbench list`)."""
     from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import make_console
 
@@ -340,14 +340,14 @@ def _print_capability(arguments: argparse.Namespace) -> None:
 
 
 def _print_machine_check(arguments: argparse.Namespace) -> None:
-    """Print facts about this machine and the harness (`dpbench doctor`)."""
+    """Print facts about this machine and how well it measures times (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
     print("\n".join(doctor_lines()))
 
 
 def _check_named_file(arguments: argparse.Namespace) -> None:
-    """Check a file or stored name and print a description (`dpbench check`)."""
+    """Check and describe a ship, scenario, suite or QPs, by file or name (`dpbench check`)."""
     from dpbench.cli.check import check_file
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 

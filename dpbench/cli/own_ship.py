@@ -41,7 +41,7 @@ SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_acti
 
 @dataclass(frozen=True)
 class OptionQuantity:
-    """A numeric option of `dpbench init`: meaning, unit and range."""
+    """A numeric ship property given to `dpbench init`: meaning, unit and allowed range."""
 
     what: str
     unit: str
@@ -49,7 +49,7 @@ class OptionQuantity:
     most: float
 
     def parse(self, option: str, text: str | None) -> float | None:
-        """Parse the option's text as a number; InputError outside the range, None for None."""
+        """Parse an option's text as a number; InputError outside its range, None for None."""
         if text is None:
             return None
         try:
@@ -62,7 +62,7 @@ class OptionQuantity:
 
     @property
     def allowed(self) -> str:
-        """Allowed range with unit and meaning, as text."""
+        """Allowed range of a numeric option, with unit and meaning, as text."""
         return f"{self.least:g} to {self.most:g} {self.unit} ({self.what})"
 
 
@@ -86,7 +86,7 @@ TO_WEIGHT = (5e-4, 0.2)
 
 
 def write_own_ship(options: argparse.Namespace) -> list[str]:
-    """Write vessel, scenario and suite files of a new ship; return lines to print.
+    """Write vessel, scenario and suite files of the user's ship; return lines to print.
 
     Without any particulars, and with `NAME.toml` there, the ship stays as it is and only scenario
     and suite of another sea are written.
@@ -119,7 +119,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
 
 
 def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
-    """Return the texts of scenario and suite for a DP capability number, by file name."""
+    """Render scenario and suite files for a DP capability number; return texts by file name."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     return {
@@ -129,7 +129,7 @@ def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -
 
 
 def _parse_sea_number(text: str | None) -> int | None:
-    """Parse the DP capability number of --sea, 1 to 9; InputError for another."""
+    """Parse the DP capability number of the sea, 1 to 9; InputError for other text."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
@@ -137,7 +137,7 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """Make a ship from the options by scaling the nearest library vessel."""
+    """Make the user's ship from options by scaling a library vessel, the nearest by default."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
@@ -165,7 +165,7 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
 
 
 def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
-    """Read length, breadth, draught and displacement from options or hull file."""
+    """Read the ship's length, breadth, draught and displacement from options or hull file."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -189,7 +189,7 @@ def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> sc
 def _read_thrust(
     numbers: dict[str, float | None], own: scaling.Particulars
 ) -> scaling.ThrustLimits:
-    """Convert the thrust options to N and N·m; InputError if implausible for this ship."""
+    """Convert a new ship's thrust limits to N and N·m; InputError if implausible for its size."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
@@ -211,7 +211,7 @@ def _read_thrust(
 
 
 def _restate_command(options: argparse.Namespace) -> str:
-    """Return the `dpbench init` command line that describes this ship."""
+    """Return the `dpbench init` command line that would make this ship's files again."""
     words = ["dpbench", "init", options.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
         value = getattr(options, option.replace("-", "_"))
@@ -221,7 +221,7 @@ def _restate_command(options: argparse.Namespace) -> str:
 
 
 def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> None:
-    """Write text files into a folder; SituationError if one exists, unless `force`."""
+    """Write text files into a folder; SituationError if one exists, unless overwriting."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
             instead = "choose another name or folder (--out), or add --force to overwrite it"
@@ -234,7 +234,7 @@ def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> Non
 def _summary_lines(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
-    """List the files written, the weather load on the ship, and the next commands."""
+    """List the files written for a new ship, its load from weather, and the next commands."""
     paths = [str(folder / name) for name in texts]
     share = scaling.load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
@@ -247,7 +247,7 @@ def _summary_lines(
 
 @dataclass(frozen=True, eq=False)
 class OwnShip:
-    """A ship scaled from a library vessel, with inertia and damping of a hull file if given."""
+    """The user's ship, scaled from a library vessel, with inertia and damping of its hull file."""
 
     name: str
     own: scaling.Particulars
@@ -257,7 +257,7 @@ class OwnShip:
 
 
 def vessel_text(ship: OwnShip, command: str) -> str:
-    """Render the vessel file of a new ship; `command` is quoted in its comments."""
+    """Render the vessel file of a new ship; the command that made it is quoted in comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
     added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
@@ -285,7 +285,7 @@ def _wrap_as_comment(caller: Callable[[], str]) -> str:
 
 
 def _form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
-    """Return hull form ratios L/B and L/∇^(1/3) of this ship and of the library vessel."""
+    """Return hull ratios L/B and L/∇^(1/3) of the user's ship and of its library vessel."""
     own, library = ship.own, scaling.LIBRARY[ship.like]
     volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
     slender = own.length_m / math.cbrt(volumes_m3[0]), library.length_m / math.cbrt(volumes_m3[1])
@@ -307,13 +307,13 @@ def list_cautions(ship: OwnShip) -> list[str]:
 
 
 def choose_sample_s(vessel: Vessel) -> float:
-    """Return the sample time [s]: the paper's 0.3 s scaled by Froude, in steps of 0.05 s."""
+    """Choose a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
     slower = scaling.froude_time(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
 def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
-    """Render the scenario file of a new ship; `chosen` if the program chose the sea."""
+    """Render the scenario file of a new ship; `chosen` if dpbench chose the sea, not the user."""
     longer = scaling.froude_time(vessel.length_m) ** 2
     wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
     return render_document(
@@ -339,7 +339,7 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
 
 
 def _explain_sea_choice(share: float, *, chosen: bool) -> str:
-    """Return why this sea was chosen, as text for a comment."""
+    """State why a sea was chosen for a new ship, from the share of its limits that it takes."""
     if not chosen:
         return "as asked for"
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
@@ -349,7 +349,7 @@ def _explain_sea_choice(share: float, *, chosen: bool) -> str:
 
 
 def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
-    """Render the suite file that compares solvers in the new ship's scenario."""
+    """Render the file of a suite that compares solvers in a new ship's scenario."""
     return render_document(
         "own_suite.toml",
         name=name,

@@ -21,7 +21,7 @@ _PLAIN = {
 
 
 def open_streams() -> None:
-    """Reopen closed standard streams and make them accept characters of any encoding.
+    """Reopen closed standard streams and make them accept characters that their encoding lacks.
 
     A closed one leads nowhere, before a result file gets its number. A character that an encoding
     lacks is replaced by the nearest; a path that is no text keeps its bytes where that is possible.

@@ -47,20 +47,20 @@ def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
 
 
 def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines, wrapped at 80 columns with a hanging indent of two."""
+    """Print lines of text, wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
         print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
 
 
 def format_entry(head: str, paragraphs: Iterable[str]) -> str:
-    """Return a name with paragraphs below it, indented by four columns."""
+    """Return a heading with paragraphs below it, indented by four columns."""
     return "\n".join(
         [head, *(wrap_paragraph(p, first=_INDENT, others=_INDENT) for p in paragraphs)]
     )
 
 
 def unstyled_text(text: str) -> Text:
-    """Make a Rich text without markup, colour or wrapping."""
+    """Make a text for the terminal as it is, without markup, colour or wrapping."""
     return Text(text, no_wrap=True, overflow="ignore")
 
 
@@ -73,7 +73,7 @@ def make_small_table(*columns: str) -> Table:
 
 
 def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """Make a terminal table of a report table; plain text if it is too wide."""
+    """Make a terminal table of a report's table; text in paragraphs if it is too wide."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -91,7 +91,7 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
 
 
 def _format_rows_as_text(table: ReportTable) -> Text:
-    """Format a report table as text, one paragraph for each row."""
+    """Format a report's table as text, one paragraph for each row."""
     named = table.text_columns
     rows = [
         format_entry(
@@ -107,7 +107,7 @@ def _format_rows_as_text(table: ReportTable) -> Text:
 
 
 def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
-    """Print the result lines of a run or report, as table, JSON or page path alone."""
+    """Print a report's main results as table or JSON, or the path of its page alone."""
     if arguments.json:
         print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
     elif arguments.quiet:
@@ -126,7 +126,7 @@ def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Na
 
 
 class ProgressBar:
-    """A terminal progress bar with the time left, optionally transient or quiet."""
+    """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -150,23 +150,23 @@ class ProgressBar:
             self._progress.stop()
 
     def start(self, work: int) -> None:
-        """Show the bar with the total amount of work."""
+        """Show the progress bar with the total amount of work."""
         self._progress.start()
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """Print a line above the bar, or on standard error without one, unless quiet."""
+        """Print a line above the progress bar, or on standard error without a bar, unless quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
     def waiting(self, text: str) -> None:
-        """Print a line on standard error, even if the bar is quiet."""
+        """Print why the program waits on standard error, even if the progress bar is quiet."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:
-        """Add finished work to the bar and show what it was."""
+        """Add finished work to the progress bar and show what it was."""
         self._progress.update(self._task, advance=work, description=what[:44])
 
 

@@ -18,7 +18,7 @@ _MOST_INTEGER = 2**1023
 def read_json_object(
     path: Path, what: str, *, error: type[InputError] = InputError
 ) -> dict[str, Any]:
-    """Read a JSON object from an untrusted file; `error` if it is damaged or too large."""
+    """Read a JSON object from an untrusted file; raise `error` if it is damaged or too large."""
     data = read_bytes(path, "a JSON file", most_bytes=MOST_JSON_BYTES, error=error)
     try:
         document = parse_json(data.decode("utf-8"))
@@ -30,7 +30,7 @@ def read_json_object(
 
 
 def parse_json(text: str) -> Any:
-    """Parse untrusted JSON; ValueError if damaged, too large, too deep or half a character."""
+    """Parse untrusted JSON; ValueError if damaged, too large, too deep or not valid Unicode."""
     if len(text) > MOST_JSON_BYTES:
         raise ValueError(f"{len(text)} characters where {MOST_JSON_BYTES} are allowed")
     try:
@@ -45,7 +45,7 @@ def parse_json(text: str) -> Any:
 
 
 def check_values(document: object) -> None:
-    """Raise ValueError for a document nested too deep, or an integer beyond all floats."""
+    """Raise ValueError for parsed JSON nested too deep, or with an integer beyond all floats."""
     depth = 0
     level: list[Any] = [document]
     while level:

@@ -15,7 +15,7 @@ TIME_S = 10
 
 
 def main(name: str) -> int:
-    """Write numbers of a structure in the MATLAB file on stdin to stdout; return 1 if it fails."""
+    """Read a MATLAB file on stdin, write a structure's numbers to stdout; return 1 on failure."""
     _lower_resource_limit(resource.RLIMIT_AS, MEMORY_BYTES)
     _lower_resource_limit(resource.RLIMIT_CPU, TIME_S)
     _lower_resource_limit(resource.RLIMIT_CORE, 0)
@@ -40,7 +40,7 @@ def main(name: str) -> int:
 
 
 def _lower_resource_limit(kind: int, most: int) -> None:
-    """Lower a resource limit of this process, unless it is lower already."""
+    """Lower a limit of this process's memory or time, unless it is lower already."""
     _, highest = resource.getrlimit(kind)
     most = most if highest == resource.RLIM_INFINITY else min(most, highest)
     resource.setrlimit(kind, (most, highest))

@@ -36,7 +36,7 @@ def open_regular_file(
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open an untrusted file to read bytes, if it is regular and not too large.
+    """Open an untrusted file to read bytes; raise an error unless it is regular and not too large.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def read_bytes(
 def check_unpacked(
     path: Path, unpacked: int, size: int, *, error: type[InputError] = InputError
 ) -> None:
-    """Raise `error` if a compressed file unpacks to far more bytes than its size allows."""
+    """Raise `error` if a compressed file would unpack to far more bytes than plausible."""
     most = FREE_BYTES + MOST_RATIO * size
     if unpacked > most:
         found = f"{size} bytes that unpack to {unpacked}"

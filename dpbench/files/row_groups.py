@@ -31,7 +31,7 @@ _FOOTER_SPEC: Spec = {_NUM_ROWS: int, _GROUPS: [_GROUP_SPEC]}
 
 
 class Field(NamedTuple):
-    """A field of a Thrift struct: byte positions, type and decoded value."""
+    """A field of a Parquet file's binary footer: byte positions, type and decoded value."""
 
     head: int
     begin: int
@@ -53,17 +53,17 @@ class Footer:
 
     @property
     def rows(self) -> int:
-        """Number of rows of the file."""
+        """Number of table rows in the Parquet file."""
         return int(self.fields[_NUM_ROWS].value)
 
     @property
     def groups(self) -> list[tuple[int, Struct, int]]:
-        """Row groups: first byte, fields and end of the description of each."""
+        """Descriptions of the Parquet file's row groups: first byte, fields and end of each."""
         groups: list[tuple[int, Struct, int]] = self.fields[_GROUPS].value
         return groups
 
     def raw_value(self, number: int) -> bytes:
-        """Return the undecoded bytes of a footer field."""
+        """Return the undecoded bytes of a field of a Parquet footer, given its number."""
         field = self.fields[number]
         return self.data[field.begin : field.end]
 
@@ -82,7 +82,7 @@ def read_footer(file: BinaryIO) -> Footer:
 
 
 def _decode_number(data: bytes, at: int) -> tuple[int, int]:
-    """Decode an unsigned varint; return it and the position after it."""
+    """Decode an unsigned variable-length integer; return it and the position after it."""
     result = shift = 0
     while (byte := data[at]) > 0x7F:
         result |= (byte & 0x7F) << shift
@@ -91,13 +91,13 @@ def _decode_number(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _decode_signed(data: bytes, at: int) -> tuple[int, int]:
-    """Decode a zigzag varint; return it and the position after it."""
+    """Decode a signed variable-length integer; return it and the position after it."""
     number, at = _decode_number(data, at)
     return (number >> 1) ^ -(number & 1), at
 
 
 def _decode_list_head(data: bytes, at: int) -> tuple[int, int, int]:
-    """Decode a Thrift list header: size, item type and position of the first item."""
+    """Decode a list header of a Parquet footer: size, item type, position of the first item."""
     size, kind = data[at] >> 4, data[at] & 15
     if size < 15:
         return size, kind, at + 1
@@ -106,7 +106,7 @@ def _decode_list_head(data: bytes, at: int) -> tuple[int, int, int]:
 
 
 def _find_value_end(data: bytes, at: int, kind: int) -> int:
-    """Return the position after a Thrift value, without decoding it."""
+    """Return the position after a value in a Parquet footer, without decoding it."""
     if kind in _INTEGERS:
         while data[at] > 0x7F:
             at += 1
@@ -130,7 +130,7 @@ def _find_value_end(data: bytes, at: int, kind: int) -> int:
 
 
 def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
-    """Decode the fields of a Thrift struct that `spec` names; return them and the end."""
+    """Decode selected fields of a structure in a Parquet footer; return them and its end."""
     fields: Struct = {}
     number = 0
     while byte := data[at]:
@@ -153,7 +153,7 @@ def _decode_struct(data: bytes, at: int, spec: Spec) -> tuple[Struct, int]:
 
 
 def _decode_structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, Struct, int]], int]:
-    """Decode a list of Thrift structs; return each with its position, and the end."""
+    """Decode a list of structures in a Parquet footer; return each with its range, and the end."""
     size, kind, at = _decode_list_head(data, at)
     if size and kind != _STRUCT:
         raise ValueError("a footer with a list of other things")
@@ -166,7 +166,7 @@ def _decode_structs(data: bytes, at: int, spec: Spec) -> tuple[list[tuple[int, S
 
 
 def _encode_number(number: int) -> bytes:
-    """Encode an unsigned varint."""
+    """Encode an unsigned integer in a variable number of bytes, as Parquet footers have it."""
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -176,12 +176,12 @@ def _encode_number(number: int) -> bytes:
 
 
 def _encode_signed(number: int) -> bytes:
-    """Encode an integer as a zigzag varint."""
+    """Encode a signed integer in a variable number of bytes, as Parquet footers have it."""
     return _encode_number((number << 1) ^ (number >> 63))
 
 
 def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
-    """Return a row group's description with all file offsets moved by `by` bytes."""
+    """Return a Parquet row group's description with all file offsets moved by `by` bytes."""
     begin, fields, end = group
     changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
     for _, chunk, _ in fields[_COLUMNS].value:
@@ -201,7 +201,7 @@ def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> byte
 
 
 def _byte_range(group: Struct) -> tuple[int, int]:
-    """Return the first byte of a row group and the one after its last."""
+    """Return a Parquet row group's range in the file: its first byte and the one after its last."""
     first, end = 2**63, 0
     for _, chunk, _ in group[_COLUMNS].value:
         if _ELSEWHERE & chunk.keys():
@@ -228,7 +228,7 @@ class RowGroupWriter:
         self._append_bytes(MAGIC)
 
     def _append_bytes(self, data: bytes) -> None:
-        """Write bytes to the file; update checksum and position."""
+        """Write bytes to the Parquet file; update its checksum and length."""
         self._file.write(data)
         self.crc32 = zlib.crc32(data, self.crc32)
         self._at += len(data)
@@ -266,7 +266,7 @@ class RowGroupWriter:
         self.rows += rows
 
     def close(self, empty: Footer) -> None:
-        """Write the footer, that of `empty` if no row was copied, and close the file."""
+        """Write the Parquet footer, that of `empty` if no rows were copied, and close the file."""
         if self._file.closed:
             return
         footer, size = self._footer or empty, len(self._groups)

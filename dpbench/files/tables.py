@@ -61,7 +61,7 @@ def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[
 
 
 def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
-    """Return the size of a table in memory [bytes], each distinct text counted once."""
+    """Return a Parquet table's size in memory [bytes], each distinct text counted once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
@@ -69,7 +69,7 @@ def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
 
 
 def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
-    """Convert dictionary columns to plain texts; `error` if they take too much memory."""
+    """Convert dictionary-encoded text columns to plain text; raise `error` if too large."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
     check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():

@@ -32,7 +32,7 @@ def make_folder(path: Path) -> Path:
 
 
 def new_file(path: Path) -> Path:
-    """Make an empty regular file, replacing a file or link of that name."""
+    """Make an empty regular file at a path, replacing a file or link of that name."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(path, flags, 0o666))
@@ -41,7 +41,7 @@ def new_file(path: Path) -> Path:
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Yield a new file that replaces `path` when the block ends, or not at all."""
+    """Yield a new file that replaces the one at `path` when the block ends, or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -78,7 +78,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_named_file(path: Path, content: bytes) -> None:
-    """Write bytes to a file that the user named, which may be a device or a pipe."""
+    """Write bytes to a file of the user's choice, which may be a device or a pipe."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)
     else:
@@ -86,7 +86,7 @@ def write_named_file(path: Path, content: bytes) -> None:
 
 
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
-    """Write all files of a folder, and remove files that an earlier call wrote.
+    """Write a set of files into a folder, and remove files of an earlier set that are not in it.
 
     `contents` makes the bytes of each file by name; `file_list_path` records the names;
     no other file is removed. InputError: the folder is a link, or a name is none of a file in it.
@@ -106,12 +106,12 @@ def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) ->
 
 
 def file_list_path(folder: Path) -> Path:
-    """Return the path of the file that lists what `write_together` wrote into a folder."""
+    """Return the path of the list of files that dpbench wrote into a folder together."""
     return folder.with_name(f".{folder.name}.json")
 
 
 def _read_file_list(folder: Path) -> set[str]:
-    """Return the names of existing files that `write_together` wrote into a folder."""
+    """Return the names of existing files that dpbench wrote into a folder together."""
     path = file_list_path(folder)
     try:
         state = path.lstat()
@@ -126,5 +126,5 @@ def _read_file_list(folder: Path) -> set[str]:
 
 
 def _write_file_list(folder: Path, names: set[str]) -> None:
-    """Write the list of files that `write_together` has written into a folder."""
+    """Write the list of files that dpbench has written into a folder together."""
     write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

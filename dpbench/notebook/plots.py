@@ -10,23 +10,23 @@ from dpbench.scenario.scenario import Scenario
 
 
 class JudgedRun(Protocol):
-    """Protocol of a run whose figures can be drawn: label, steps and scenario."""
+    """Interface of a solver's run that can be plotted: label, table of steps, scenario."""
 
     @property
     def label(self) -> str:
-        """Name of solver and call mode in a figure."""
+        """Solver and way of starting each solve, as a plot's label."""
 
     @property
     def steps(self) -> pd.DataFrame:
-        """Table with one row per step, columns of steps.parquet."""
+        """Table with one row per step of the run."""
 
     @property
     def scenario(self) -> Scenario | None:
-        """Scenario of a closed loop; None of a replay."""
+        """Scenario of a closed loop; None where recorded QPs were solved instead."""
 
 
 class RunPlots:
-    """Figures of one judged run, as Altair charts.
+    """Plots of one solver's run whose answers have been judged, as Altair charts.
 
     `run.plot.ship(other)` draws other runs of the same scenario into the same figure. A chart has
     `save` for PNG, SVG, PDF and HTML.
@@ -39,7 +39,7 @@ class RunPlots:
         return "<figures: steps()" + (", ship(), errors()>" if self._run.scenario else ">")
 
     def steps(self) -> Any:
-        """Draw step time, error of the first move, iterations and forces over the steps."""
+        """Plot step time, error of the first move, iterations and forces over the steps."""
         from dpbench.analysis.verdict.requirements import Requirements
         from dpbench.report.charts.steps import draw_step_strips
 
@@ -49,7 +49,7 @@ class RunPlots:
         )
 
     def ship(self, *others: JudgedRun) -> Any:
-        """Draw the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
+        """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
@@ -58,7 +58,7 @@ class RunPlots:
         return draw_path(_convert_to_laws((self._run, *others)), self._common_scenario(others))
 
     def errors(self, *others: JudgedRun) -> Any:
-        """Draw north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
+        """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
         from dpbench.report.charts.ship import draw_pose_errors
 
         return draw_pose_errors(
@@ -66,7 +66,7 @@ class RunPlots:
         )
 
     def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """Return the scenario of all runs; InputError if they differ or one is a replay."""
+        """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
             if run.scenario is None or scenario is None:
@@ -79,7 +79,7 @@ class RunPlots:
 
 
 def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """Convert runs to control laws of a figure; number those with equal names."""
+    """Convert solvers' runs to labelled curves of a plot; number those of equal label."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
@@ -91,7 +91,7 @@ def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 
 def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
-    """Return time [µs], error, iterations and active limits of each step, for a figure."""
+    """Return time [µs], error, iterations and active limits of each step, for a plot."""
     from dpbench.analysis.records.run_steps import counting_rows, run_steps
     from dpbench.report.charts.steps import NO_ANSWER
 
@@ -110,7 +110,7 @@ def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def _compute_force_shares(run: JudgedRun) -> pd.DataFrame:
-    """Return forces of a closed loop as shares of their limits; no rows for a replay."""
+    """Return a closed loop's forces divided by their limits, by step; empty for a replay."""
     from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(result_folder.Results):
-    """A result folder in memory: runs, steps, machine, suite, and the tables of the report.
+    """A benchmark's results in memory: runs, steps, machine, suite, and tables of the report.
 
     The report's are made at first use, and are what `dpbench report` writes into `tables/`.
     """
@@ -32,35 +32,35 @@ class Results(result_folder.Results):
 
     @property
     def answer(self) -> str:
-        """Sentence that names the recommended configuration, or the question of the suite."""
+        """Sentence that names the recommended solver and settings, or the question of the suite."""
         rows = self._full_report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the report, by name."""
+        """All tables of the benchmark's report as data frames, by name."""
         return self._full_report.tables
 
     def verdict(self) -> pd.DataFrame:
-        """Return the verdict on each configuration, with its reason and figures.
+        """Return the verdict on each solver with its settings, the reason and the main numbers.
 
         Times in µs; error_move and failed_steps over all its runs.
         """
         return self.tables["verdicts"]
 
     def hard_steps(self) -> pd.DataFrame:
-        """Return the five hardest steps of each run by time [µs], by iterations and by error."""
+        """Return the five hardest steps of each solver's run by time [µs], iterations and error."""
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """Return the best configuration of each timed solver, with its step times [µs].
+        """Return each timed solver's best settings with its step times [µs], as a table.
 
         `share` is what calling a library that does nothing takes of its median.
         """
         return self.tables["ladder"]
 
     def paired_ratios(self) -> pd.DataFrame:
-        """Return step time ratios to the fastest configuration, on the same steps.
+        """Return solvers' step time ratios to the fastest, measured on the same steps, as a table.
 
         `low` and `high` bound the mean ratio, 0 and inf where the steps are too few to tell;
         `tied` where they include 1; `unstable` where another yardstick names another leader.
@@ -73,7 +73,7 @@ class Results(result_folder.Results):
         return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
 
     def _repr_html_(self) -> str:
-        """Return recommendation and best configuration of each solver, as HTML."""
+        """Return the recommendation and each solver's best settings as HTML."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
         rows = solver_rows(
@@ -84,7 +84,7 @@ class Results(result_folder.Results):
 
     @cached_property
     def _full_report(self) -> Report:
-        """Report of this folder, built at first use."""
+        """Report of these results, built at first use."""
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
@@ -93,7 +93,7 @@ class Results(result_folder.Results):
 
 
 def load_results(out: str | Path) -> Results:
-    """Read a result folder into memory.
+    """Read a benchmark's result folder into memory.
 
     Parameters
     ----------

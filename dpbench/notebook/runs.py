@@ -49,7 +49,7 @@ REMEMBERED = "times of remembered answers: steps seen before are faster than war
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A judged run of one solver: table of steps, summary row and scenario.
+    """One solver's run of a scenario, answers judged: table of steps, summary row and scenario.
 
     Parameters
     ----------
@@ -64,19 +64,19 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Solver, route and policy, as text."""
+        """Solver, interface to its library and way of starting each solve, as text."""
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property
     def remembers(self) -> bool:
-        """True where the times of a replay are those of cached answers, not of solving."""
+        """True if a replay's times are of answers the solver has cached, not of solving."""
         row = self.summary
         excess = float(row["first_visit_excess"])
         return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)
 
     @property
     def plot(self) -> RunPlots:
-        """Figures of the run: `steps()`, and of a closed loop `ship()` and `errors()`."""
+        """Plots of the run: `steps()`, and of a closed loop `ship()` and `errors()`."""
         return RunPlots(self)
 
     def __repr__(self) -> str:
@@ -88,7 +88,7 @@ class Run:
         )
 
     def _repr_html_(self) -> str:
-        """Return the run's main figures as an HTML table, which a notebook displays."""
+        """Return the run's main results as an HTML table, which a notebook displays."""
         row = self.summary
         fields = {
             "steps": self._steps_text,
@@ -103,18 +103,18 @@ class Run:
 
     @property
     def _sequence_text(self) -> str:
-        """Mode and name of the scenario or sequence, as text."""
+        """Closed loop or replay, and name of its scenario or QP sequence, as text."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
     def _steps_text(self) -> str:
-        """Number of steps done of those planned, as text."""
+        """Number of control steps done out of those planned, as text."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
     def _describe_control(self) -> dict[str, str]:
-        """Return control errors and fallbacks of a closed loop, as text by field name."""
+        """Return a closed loop's position errors and number of fallbacks, as text by field name."""
         if self.scenario is None:
             return {}
         row = self.summary
@@ -139,7 +139,7 @@ def run_closed_loop(
     deadline_s: float = 0.0,
     steps: int | None = None,
 ) -> Run:
-    """Run a closed loop of ship and MPC with `workspace` as its solver; judge every answer.
+    """Simulate ship and MPC in closed loop with `workspace` as QP solver; judge every answer.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def replay(
     warmup_steps: int = 50,
     formulation: Formulation = "condensed_box",
 ) -> Run:
-    """Solve `sequence` with `workspace`: a warm-up, then `repeats` rounds; judge every answer.
+    """Solve recorded QPs with a solver: a warm-up, then `repeats` rounds; judge every answer.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def _check_workspace(workspace: object, formulation: str) -> None:
 
 
 def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
-    """Make the cell record of a run in this process, with unnamed settings."""
+    """Describe a solver's run in this process: its scenario or QPs, policy, unnamed settings."""
     route, policy = workspace.route, workspace.policy
     return Cell(solver=workspace.solver, route=route, policy=policy, settings="", **fields)
 
@@ -239,7 +239,7 @@ def _make_run(
     evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
-    """Compute step and summary rows of an evaluated run."""
+    """Make a run's table of steps and summary row from its judged answers."""
     steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)

@@ -24,7 +24,7 @@ OpenWorkspace = Callable[[SolverRecord, Policy, Options], Workspace]
 
 @dataclass(frozen=True)
 class NativeAdapter:
-    """A solver library called through its own Python interface: record, constructor, options.
+    """How to call a solver library by its own Python interface: facts, constructor, options.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class NativeAdapter:
 
 
 class ClaimedStatus(NamedTuple):
-    """Status, iterations and time [ns] that a library reports; -1 and "" for none."""
+    """Status, iterations, time [ns] and detail that a library reports; -1 and "" for none."""
 
     status: Status
     iterations: int = -1
@@ -58,7 +58,7 @@ NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not 
 
 
 def read_found(answer: Any, options: Options) -> Claim:
-    """Read a status of solved or unknown from `found` of a `qpsolvers.Solution`."""
+    """Read from a qpsolvers solution only whether it is solved; the status is else unknown."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
@@ -92,7 +92,7 @@ def make_info_reader(
 
 
 def make_status_reader(read_info: InfoReader) -> ReadStatus:
-    """Make a function that reads the status from the `info` of a `qpsolvers.Solution`."""
+    """Make a function that reads status, iterations and time from a qpsolvers solution's `info`."""
 
     def read_status(answer: Any, options: Options) -> Claim:
         info = answer.extras["info"]
@@ -103,7 +103,7 @@ def make_status_reader(read_info: InfoReader) -> ReadStatus:
 
 @dataclass(frozen=True)
 class QpsolversAdapter:
-    """A solver library called through qpsolvers: record, status reader, option names.
+    """How to call a solver library through qpsolvers: facts, status reader, option names.
 
     Parameters
     ----------
@@ -133,11 +133,11 @@ class QpsolversAdapter:
 
     @property
     def qpsolvers_key(self) -> str:
-        """The name under which qpsolvers lists the solver."""
+        """The solver's name in the qpsolvers package."""
         return self.qpsolvers_name or self.record.name
 
     def make_native(self, workspace: OpenWorkspace) -> NativeAdapter:
-        """Return the adapter of the library's own interface, with its record and options."""
+        """Return how to call this solver by its own interface, with the same facts and options."""
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
     def read_claimed_status(self, answer: Any, options: Options) -> Claim:
@@ -163,7 +163,7 @@ def list_keywords(module: str, name: str, *besides: str) -> list[str]:
 def find_adapters(
     package: str, besides: Iterable[str]
 ) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
-    """Import all modules of a package; return its native and its qpsolvers adapters by solver.
+    """Import all modules of a package; return its native and qpsolvers interfaces by solver.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ _steady_ns: Callable[[], int] = (
 
 
 def _make_record(name: str, method: str) -> SolverRecord:
-    """Make the solver record of a calibration workload: route native, policy reuse, no settings."""
+    """Make the facts of a dummy solver, which times the benchmark itself and has no settings."""
     return SolverRecord(
         name=name,
         family="harness",
@@ -63,14 +63,14 @@ CALIBRATION: dict[str, SolverRecord] = {
 
 
 class NoOpWorkspace(Workspace):
-    """A workspace that does nothing and returns one stored empty answer, to time the harness."""
+    """A dummy solver that does nothing, to measure the time the benchmark itself takes."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._answer: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store an empty answer of the problem's size."""
+        """Store an answer without numbers, of the problem's size."""
         self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
@@ -80,21 +80,21 @@ class NoOpWorkspace(Workspace):
         """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """Return the stored empty answer."""
+        """Return the stored answer without numbers."""
         if self._answer is None:
             raise missing_setup_error("read")
         return self._answer
 
 
 class BusyWaitWorkspace(NoOpWorkspace):
-    """A workspace whose `solve` waits `wait_ns` [ns] on a clock without yielding the core."""
+    """A dummy solver whose solve takes `wait_ns` [ns], to test the time measurement."""
 
     def __init__(self, solver: str, wait_ns: int, clock: Callable[[], int] = _steady_ns) -> None:
         super().__init__(solver)
         self._wait_ns, self._clock = wait_ns, clock
 
     def solve(self) -> None:
-        """Read the clock until `wait_ns` have passed."""
+        """Wait `wait_ns` on the clock, without solving."""
         clock = self._clock
         over = clock() + self._wait_ns
         while clock() < over:
@@ -102,7 +102,7 @@ class BusyWaitWorkspace(NoOpWorkspace):
 
 
 class CopyOnlyWorkspace(Workspace):
-    """A workspace that copies vectors in and an empty answer out, without solving."""
+    """A dummy solver that copies vectors in and an empty answer out, to time the copies."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
@@ -127,14 +127,14 @@ class CopyOnlyWorkspace(Workspace):
         """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """Return a copy of an empty answer."""
+        """Return a copy of an answer without numbers."""
         if self._size is None:
             raise missing_setup_error("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
 def open_calibration(name: str) -> Workspace:
-    """Open a calibration workload by name: no_op, copy_only or busy_wait_<t>us."""
+    """Open a dummy solver by name, to test time measurement: no_op, copy_only, busy_wait_<t>us."""
     if name in WAITS_NS:
         return BusyWaitWorkspace(name, WAITS_NS[name])
     return NoOpWorkspace(name) if name == NO_OP else CopyOnlyWorkspace(name)

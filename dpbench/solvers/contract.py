@@ -31,7 +31,7 @@ Form = Literal["dense", "csc"]
 
 
 class Workspace(ABC):
-    """Interface of every solver: set-up, update, solve, read, for QPs of one shape.
+    """Interface that every QP solver implements: set up, update, solve, read, for QPs of one shape.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Workspace(ABC):
 
     @abstractmethod
     def update(self, step: QPStep) -> None:
-        """Take over the vectors and matrices that `step` changes; ShapeError on wrong shapes."""
+        """Take over the vectors and matrices of the next QP; ShapeError on wrong shapes."""
 
     @abstractmethod
     def solve(self) -> None:
@@ -64,10 +64,10 @@ class Workspace(ABC):
 
     @abstractmethod
     def read(self) -> Solution:
-        """Return the answer with status and multipliers, in new memory."""
+        """Return a copy of the answer: status, solution z and multipliers."""
 
     def another(self) -> Workspace:
-        """Open a second workspace with equal settings; SituationError unless opened by name."""
+        """Open the same solver again with equal settings; SituationError unless opened by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
@@ -78,7 +78,7 @@ class Workspace(ABC):
 
 
 def check_step(step: QPStep, n: int, m: int) -> None:
-    """Raise ShapeError unless the arrays of `step` fit n variables and m rows."""
+    """Raise ShapeError unless a step's arrays fit a QP of n variables and m rows."""
     rows = (m,)
     fits = step.q.shape == (n,) and step.l.shape == rows and step.u.shape == rows
     if fits and step.refresh is Refresh.VECTORS:
@@ -91,19 +91,19 @@ def check_step(step: QPStep, n: int, m: int) -> None:
 
 
 def describe_exception(error: BaseException) -> str:
-    """Return class and message of a library's exception or panic; re-raise an interrupt."""
+    """Return class and message of a solver library's exception as text; re-raise an interrupt."""
     if isinstance(error, (KeyboardInterrupt, SystemExit)):
         raise error
     return f"{type(error).__name__}: {error}"
 
 
 def missing_setup_error(call: str) -> DpbenchError:
-    """Return the error for calling a workspace method before `setup`."""
+    """Return the error for calling a solver's method before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 
 
 def shift_into(target: Vector, source: Vector, block: int) -> None:
-    """Write `source` one block earlier into `target`; the last block is zero."""
+    """Write a vector shifted by one control increment for a warm start; the last block is zero."""
     if block == 0:
         target[:] = source
     elif target.size:

@@ -11,7 +11,7 @@ Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
 
 class FunctionWorkspace(Workspace):
-    """A workspace around a Python function that solves one QP; its exception becomes ERROR."""
+    """A solver made of a Python function that solves one QP; its exceptions become ERROR."""
 
     def __init__(self, name: str, policy: Policy, solve: Solve, options: Options) -> None:
         super().__init__(name, "native", policy)
@@ -21,11 +21,11 @@ class FunctionWorkspace(Workspace):
         self._solution: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store a copy of the problem."""
+        """Store a copy of the QP."""
         self._qp, self._solution = qp.copy(), None
 
     def update(self, step: QPStep) -> None:
-        """Store a copy of the problem with the arrays that `step` changes."""
+        """Store a copy of the QP with the arrays that this step changes."""
         if self._qp is None:
             raise missing_setup_error("update")
         check_step(step, self._qp.n, self._qp.m)
@@ -33,7 +33,7 @@ class FunctionWorkspace(Workspace):
         self.setup(self._qp.at(step))
 
     def solve(self) -> None:
-        """Call the function on the problem; store its answer or its exception."""
+        """Call the user's function on the QP; store its answer or its exception."""
         assert self._qp is not None, "setup comes first"
         try:
             answer = self._function(self._qp, **self._options)
@@ -47,7 +47,7 @@ class FunctionWorkspace(Workspace):
             self._solution = self._make_error_solution(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
-        """Return a copy of the function's answer."""
+        """Return a copy of the answer that the user's function gave."""
         answer = self._solution
         if answer is None:
             return self._make_error_solution("read before solve")
@@ -62,13 +62,13 @@ class FunctionWorkspace(Workspace):
         )
 
     def _make_error_solution(self, detail: str) -> Solution:
-        """Return an answer without numbers, of status ERROR, with this detail."""
+        """Return an answer without numbers, of status ERROR, with an explanation."""
         assert self._qp is not None, "setup comes first"
         return Solution.missing(self._qp.n, self._qp.m, Status.ERROR, detail)
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """Make the `open(policy, options)` function of a plug-in from a function that solves one QP."""
+    """Make a plug-in solver's `open(policy, options)` from a Python function that solves one QP."""
 
     def open_function(policy: Policy, options: Options) -> Workspace:
         return FunctionWorkspace(name, policy, solve, options)

@@ -19,7 +19,7 @@ Box = Literal["native", "rows"]
 
 
 class LimitSides:
-    """Indices of equalities, finite upper limits and finite lower limits of a block of rows."""
+    """Which of a block of constraint rows are equalities or have a finite upper or lower limit."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -32,16 +32,16 @@ class LimitSides:
 
     @staticmethod
     def encode_pattern(low: Vector, high: Vector) -> bytes:
-        """Return bytes that encode which limits are equal and which are infinite."""
+        """Encode as bytes which rows are equalities and which limits are infinite, to compare."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
     def has_same_pattern(self, low: Vector, high: Vector) -> bool:
-        """Return whether the same limits are equal or infinite as at construction."""
+        """Return whether the same limits are equal or infinite as when the rows were sorted."""
         return self.encode_pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
-        """Write upper and negated lower limits into `h`, and limits of equalities into `b`."""
+        """Write two-sided limits as one-sided: [upper; −lower] into `h`, equalities' into `b`."""
         if self.full:
             h[: self.size] = high
             np.negative(low, out=h[self.size :])
@@ -52,18 +52,18 @@ class LimitSides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the one-sided inequality rows and the equality rows of the row block M."""
+        """Return rows [M; −M] with a finite limit, as inequalities, and the equality rows of M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
     def split_multipliers(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """Split two-sided multipliers y into z ≥ 0 of inequality rows and y of equality rows."""
+        """Split multipliers of two-sided rows into those of inequalities, ≥ 0, and equalities."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
     def merge_multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Merge multipliers z of inequality and y of equality rows into two-sided ones."""
+        """Merge multipliers of inequalities and equalities into those of two-sided rows."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -75,7 +75,7 @@ class LimitSides:
 
 
 class OneSidedForm:
-    """A two-sided QP as G z ≤ h, A z = b, with constant matrices and buffers for q, h, b.
+    """A QP with two-sided limits rewritten as G z ≤ h, A z = b, updated in place at each step.
 
     Parameters
     ----------
@@ -111,22 +111,22 @@ class OneSidedForm:
         self.h, self.b = h if h.size else None, b if b.size else None
 
     def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Return whether the same row limits are equal or infinite as in the original problem."""
+        """Return whether the same row limits are equal or infinite as in the QP first given."""
         return self._sides.has_same_pattern(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
-        """Write q and the row limits l, u of a step into the buffers q, h and b."""
+        """Write a step's q and two-sided row limits l, u into the one-sided QP's q, h and b."""
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """Convert multipliers of G and A into two-sided y (m,) and y_box (n,); box "rows" only."""
+        """Convert multipliers of G z ≤ h, A z = b to those of two-sided rows and bounds."""
         assert self._box is not None, "bounds have to be rows"
         rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
         return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
 
     def split_multipliers(self, y: Vector, y_box: Vector, dual: Vector) -> None:
-        """Write two-sided multipliers into `dual`, equalities first; box "rows" only."""
+        """Write multipliers of two-sided rows and bounds into `dual` as one-sided."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
         self._sides.split_multipliers(y, z[: self._rows], equal[: self._equalities])
@@ -136,7 +136,7 @@ class OneSidedForm:
     def convert_qpsolvers_multipliers(
         self, z: Any, y: Any, z_box: Any
     ) -> tuple[Vector, Vector] | None:
-        """Convert multipliers of qpsolvers into y (m,) and y_box (n,); None if absent."""
+        """Convert qpsolvers' multipliers to those of two-sided rows and bounds; None if absent."""
         z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
         y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:

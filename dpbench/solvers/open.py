@@ -18,7 +18,7 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """Open a workspace of a solver by name, not yet set up.
+    """Open a QP solver by name, ready for its set-up with a first problem.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def _make_workspace(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """Resolve the settings, import the library and make a workspace; SettingsError if invalid."""
+    """Check the settings, import the solver's library and open the solver."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None
@@ -73,7 +73,7 @@ def _make_workspace(
 
 
 def _check_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
-    """Raise PolicyError, with the reason, if the solver does not offer this route and policy."""
+    """Raise PolicyError if a solver lacks this interface or this way of starting each solve."""
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))

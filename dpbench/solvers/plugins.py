@@ -62,7 +62,7 @@ os._exit(0)
 
 @dataclass(frozen=True)
 class Plugin:
-    """A third-party solver: adapter, version or file digest, and where it was loaded from."""
+    """A third-party solver: how to call it, version or file checksum, where it was loaded from."""
 
     adapter: NativeAdapter
     version: str
@@ -70,7 +70,7 @@ class Plugin:
 
     @property
     def record(self) -> SolverRecord:
-        """Record of the solver: name, method, abilities."""
+        """Facts about the plug-in solver: name, method, abilities."""
         return self.adapter.record
 
 
@@ -92,7 +92,7 @@ def solver_record(
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """Make the record of a plug-in solver that has route native only.
+    """Make the facts of a plug-in solver: name, method, and abilities of its own interface.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def solver_record(
 
 
 def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
-    """Load the plug-in of a Python file; InputError if it fails or has a name in `taken`."""
+    """Load a solver from a Python file; InputError if it fails or its name is in `taken`."""
     where, file = _check_file_exists(path)
     module = _import_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
@@ -125,7 +125,7 @@ def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
 
 
 def try_file(path: str | Path) -> None:
-    """Run a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
+    """Try a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
     where, file = _check_file_exists(path)
     command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
     null = subprocess.DEVNULL
@@ -150,7 +150,7 @@ def try_file(path: str | Path) -> None:
 
 
 def run_quietly(where: str, file: str) -> None:
-    """Import a plug-in's file and ignore all its exceptions, inside a trial process."""
+    """Run a plug-in's file in a trial process, ignoring exceptions: only a crash matters."""
     with suppress(InputError):
         _import_file(where, Path(file))
 
@@ -164,7 +164,7 @@ def _check_file_exists(path: str | Path) -> tuple[str, Path]:
 
 
 def _import_file(where: str, file: Path) -> ModuleType:
-    """Execute a Python file as a new module; turn any exception into an InputError."""
+    """Execute a plug-in's Python file as a new module; turn any exception into an InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -188,18 +188,18 @@ def _describe_raised(error: BaseException) -> str:
 
 
 def entry_point_names() -> tuple[str, ...]:
-    """List the names of plug-in solvers of installed distributions, without loading them."""
+    """List the names of plug-in solvers in installed packages, without loading them."""
     return tuple(sorted(_entry_points()))
 
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points of installed plug-in solvers, by name."""
+    """Return plug-in solvers that installed packages declare as entry points, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
 def find_plugin(name: str) -> Plugin | None:
-    """Return a plug-in by name, None if there is none; InputError if it fails to load."""
+    """Return a plug-in solver by name; None if there is none, InputError if it fails to load."""
     if name in _LOADED:
         return _LOADED[name]
     point = _entry_points().get(name)
@@ -227,7 +227,7 @@ def loaded_names() -> tuple[str, ...]:
 def _register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
-    """Check a plug-in's RECORD and open(), and add it to the loaded plug-ins."""
+    """Check a loaded plug-in's RECORD and open(), and add it to the known solvers."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
@@ -250,14 +250,14 @@ def _register_plugin(
 
 
 def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
-    """Return a plug-in's tolerance presets: LEVELS, its old name LADDER, or those of its record."""
+    """Return a plug-in's presets of solver options by tolerance level."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 
 def _wrap_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
-    """Wrap a plug-in's open() so that a result that is not a Workspace raises InputError."""
+    """Wrap a plug-in's open() so that InputError is raised if it does not return a solver."""
 
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)

@@ -53,7 +53,7 @@ LEVELS = (DEFAULT, *TOLERANCES)
 
 
 def by_tolerance(*criteria: str, always: Options | None = None, **constant: object) -> Levels:
-    """Make a solver's presets default, low, mid and high from its tolerance options.
+    """Make option presets default, low, mid and high, from the names of tolerance options.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def by_tolerance(*criteria: str, always: Options | None = None, **constant: obje
 
 @dataclass(frozen=True)
 class Build:
-    """How a library was compiled: its instruction set, and whether that is the generic one.
+    """How a solver library was compiled: its instruction set, and whether that is a generic one.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
 
 
 def vectorised_build(module: str) -> Build:
-    """Return the instruction set of the loaded build of `module`, named without its suffix."""
+    """Return the CPU instruction set that the loaded library `module` was compiled for."""
     built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
     return Build(next(built, ""))
 
 
 def unknown_build() -> Build:
-    """Return an empty build, for a library that does not state how it was compiled."""
+    """Return an empty description, for a library that does not state how it was compiled."""
     return UNKNOWN_BUILD
 
 
@@ -120,7 +120,7 @@ class CSettings:
 
 @dataclass(frozen=True)
 class Project:
-    """Facts for deployment: licence, language, C code, memory allocation, single precision.
+    """Facts on embedding a solver: licence, language, C code, memory allocation, single precision.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def project_facts(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """Make a `Project` from pairs (value, source); None where the project states nothing."""
+    """Make the facts on embedding a solver from pairs (value, source), None where not stated."""
     facts = (licence, language, c_code, allocation_free, single_precision)
     return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 
@@ -158,7 +158,7 @@ NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 
 @dataclass(frozen=True)
 class RouteRecord:
-    """Abilities of a solver on one route: policies, updates, warm start, certificates, faults.
+    """What a solver can do through one interface: ways of starting, updates, known faults.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class RouteRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """All facts about one solver: method, package, routes, presets, project.
+    """All facts about one solver: method, package, interfaces, option presets, project.
 
     Parameters
     ----------
@@ -226,18 +226,18 @@ class SolverRecord:
 
     @property
     def policies(self) -> dict[Route, tuple[Policy, ...]]:
-        """Policies that the solver offers, by route."""
+        """Ways of starting each solve (fresh, reuse, warm) offered, by interface to the library."""
         return {route: can.policies for route, can in self.routes.items()}
 
     @property
     def remedy(self) -> str:
-        """Command that installs the solver."""
+        """Shell command that installs the solver."""
         # Not through an extra of dpbench: the package index knows another project by that name.
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
     def deployment_blocker(self) -> str:
-        """Reason why the solver cannot be deployed on a ship; "" if it can.
+        """Reason why the solver cannot run on a ship's controller; "" if it can.
 
         Compiled code whose language the project documents is deployable.
         """
@@ -249,11 +249,11 @@ class SolverRecord:
         return f"written in {language.value}" if language.value.startswith("Python") else ""
 
     def on(self, route: Route) -> RouteRecord:
-        """Return the solver's abilities on a route; KeyError if it does not have it."""
+        """Return what the solver can do through an interface; KeyError if it does not have it."""
         return self.routes[route]
 
     def refusal(self, route: Route, policy: Policy) -> str:
-        """Return why a route does not offer a policy; "" if it does."""
+        """Return why an interface lacks a way of starting each solve; "" if it offers it."""
         can = self.routes[route]
         if policy in can.policies:
             return ""

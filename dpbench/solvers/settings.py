@@ -15,12 +15,12 @@ from dpbench.solvers.table import find_record
 
 
 def has_tolerance_levels(solver: str) -> bool:
-    """Return whether the presets low, mid and high change any option of a solver."""
+    """Return whether a solver's tolerance presets low, mid and high differ from its defaults."""
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
 
 def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
-    """Return the options of a settings name or mapping; SettingsError if they are invalid."""
+    """Return solver options from a preset's name or a mapping; SettingsError if invalid."""
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
@@ -35,12 +35,12 @@ def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapte
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """List the names of a solver's settings: default, low, mid, high and its own."""
+    """List the names of a solver's option presets: default, low, mid, high and its own."""
     return tuple(dict.fromkeys((*LEVELS, *find_record(solver).levels)))
 
 
 def parse_tolerance(name: str) -> float | None:
-    """Parse a settings name such as "1e-4" as a tolerance in (0, 1); None for other names."""
+    """Parse a preset name such as "1e-4" as a tolerance in (0, 1); None for other names."""
     try:
         tolerance = float(name)
     except ValueError:
@@ -49,12 +49,12 @@ def parse_tolerance(name: str) -> float | None:
 
 
 def has_setting(solver: str, name: str) -> bool:
-    """Return whether a solver accepts a settings name, which may be a tolerance such as "1e-4"."""
+    """Return whether a solver has an option preset of this name, or takes it as a tolerance."""
     return name in setting_names(solver) or _options_at_tolerance(solver, name) is not None
 
 
 def _options_at_tolerance(solver: str, name: str) -> Options | None:
-    """Return the options of a settings name that is a number; None for other names.
+    """Return a solver's options at a tolerance such as "1e-4"; None for other names.
 
     Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
     `mid`.
@@ -70,7 +70,7 @@ def _options_at_tolerance(solver: str, name: str) -> Options | None:
 
 
 def level_options(name: str, solver: str) -> Options:
-    """Return the options of a solver's settings name; SettingsError if there is none."""
+    """Return the options of a solver's preset or tolerance; SettingsError if there is none."""
     names, options = setting_names(solver), _options_at_tolerance(solver, name)
     if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
@@ -79,7 +79,7 @@ def level_options(name: str, solver: str) -> Options:
 
 
 def describe_levels(solver: str) -> str:
-    """Return one line for each settings name of a solver, with the options it sets."""
+    """Return one line of text for each of a solver's option presets, with the options it sets."""
     lines = []
     for name in setting_names(solver):
         text = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
@@ -90,7 +90,7 @@ def describe_levels(solver: str) -> str:
 
 
 def check_option_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
-    """Raise SettingsError for the first unknown option key, which some libraries ignore."""
+    """Raise SettingsError for the first option name that the solver does not have."""
     known = sorted(allowed)
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
@@ -101,7 +101,7 @@ def check_option_names(solver: str, settings: Mapping[str, object], allowed: Ite
 
 
 def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> None:
-    """Set the options on a settings object; SettingsError for a value that it refuses."""
+    """Set options on a library's settings object; SettingsError for a value that it refuses."""
     for key, value in settings.items():
         try:
             setattr(target, key, value)

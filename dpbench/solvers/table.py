@@ -51,7 +51,7 @@ OTHER_LIBRARIES = (
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a solver is installed here: version, build, or the reason why it is missing."""
+    """Whether a solver is installed here: version and build, or why it cannot be used."""
 
     ok: bool
     version: str = ""
@@ -60,17 +60,17 @@ class Availability:
 
     @property
     def identity(self) -> str:
-        """Version and build of the library, as one text."""
+        """Version of the solver's library and instruction set it was built for, as one text."""
         return f"{self.version} {self.build.text}".strip()
 
 
 def solver_names() -> tuple[str, ...]:
-    """List all solvers, installed or not, and all plug-ins, in alphabetical order."""
+    """List the names of all known solvers, installed or not, plug-ins included, alphabetically."""
     return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
 
 
 def find_record(name: str) -> SolverRecord:
-    """Look up a solver, calibration workload or plug-in; UnknownNameError if there is none."""
+    """Return the facts about a solver by its name; UnknownNameError if there is none."""
     row = TABLE.get(name) or CALIBRATION.get(name)
     if row is not None:
         return row
@@ -85,7 +85,7 @@ def find_record(name: str) -> SolverRecord:
 
 
 def native_adapter(name: str) -> NativeAdapter:
-    """Return a solver's adapter on route native, also of a plug-in; KeyError if it has none."""
+    """Return how to call a solver by its own interface; KeyError if it has none."""
     if name in CALIBRATION:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
@@ -95,12 +95,12 @@ def native_adapter(name: str) -> NativeAdapter:
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """Return a solver's adapter on route qpsolvers; a generic one if it is not in the table."""
+    """Return how to call a solver through qpsolvers, in a generic way if dpbench lacks it."""
     return THROUGH_QPSOLVERS.get(name) or _make_generic_adapter(name)
 
 
 def _find_plugin(name: str) -> plugins.Plugin | None:
-    """Return the plug-in of a name that the table does not have; None if there is none."""
+    """Return the plug-in solver of a name; None if dpbench has a solver of it or there is none."""
     return None if name in TABLE else plugins.find_plugin(name)
 
 
@@ -115,7 +115,7 @@ def _is_served_by_qpsolvers(name: str) -> bool:
 
 
 def _make_generic_adapter(name: str) -> QpsolversAdapter:
-    """Make an adapter, without settings checks, for a solver that only qpsolvers has."""
+    """Describe how to call a solver that only qpsolvers knows; its settings go unchecked."""
     can = RouteRecord(
         ("fresh",),
         detects_infeasibility=False,
@@ -137,7 +137,7 @@ def _make_generic_adapter(name: str) -> QpsolversAdapter:
 
 
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
-    """Load a solver plug-in from a Python file into this process; return its record.
+    """Load a plug-in solver from a Python file into this process; return the facts about it.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord
 # Parsing takes 2 ms, and a suite calls this thousands of times.
 @cache
 def _installed_version(distribution: str) -> str:
-    """Return the installed version of a distribution; PackageNotFoundError if it is missing."""
+    """Return the installed version of a Python package; PackageNotFoundError if missing."""
     return metadata.version(distribution)
 
 
@@ -196,7 +196,7 @@ def check_available(name: str) -> None:
 
 
 def _check_qpsolvers_availability(name: str) -> Availability:
-    """Return whether qpsolvers finds a solver library that is not in the table."""
+    """Return whether qpsolvers finds a solver's library that dpbench does not know."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
@@ -209,7 +209,7 @@ def _check_qpsolvers_availability(name: str) -> Availability:
 
 
 class HiddenModules(MetaPathFinder):
-    """An import finder that makes the named modules fail to import.
+    """An import hook that makes modules of given names fail to import.
 
     None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
     """
@@ -218,13 +218,13 @@ class HiddenModules(MetaPathFinder):
         self._names = frozenset(names)
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        """Raise ModuleNotFoundError for a hidden module; return None for others."""
+        """Raise ModuleNotFoundError for a module that is to stay hidden; return None for others."""
         if fullname in self._names:
             raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
 
 
 def isolate(*solvers: str) -> None:
-    """Block imports of all solver libraries except those of `solvers`, for this whole process.
+    """Block imports of all solver libraries but those of given solvers, for this whole process.
 
     `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
     threads and lets one library's OpenMP or BLAS settings act on another's.

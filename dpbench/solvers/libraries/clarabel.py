@@ -54,7 +54,7 @@ STATUS = {
 
 
 def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
-    """Convert Clarabel's status, iterations and time [s], which includes its set-up."""
+    """Convert Clarabel's status, iterations and time [s] to the common status and time [ns]."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
@@ -73,10 +73,10 @@ THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, make_settings=
 
 
 class ClarabelWorkspace(OneSidedWorkspace):
-    """Clarabel on [A; G] z + s = [b; h], with a zero cone and a nonnegative cone."""
+    """Clarabel as QP solver, with cones: [A; G] z + s = [b; h], s zero or nonnegative."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert P and [A; G] to sparse columns, and size the cones."""
+        """Convert P and stacked equality and inequality rows to sparse, with Clarabel's cones."""
         rows, equalities, inequalities = self._stack_form_rows()
         self._P_upper = scipy.sparse.triu(self._P, format="csc")
         self._matrix = scipy.sparse.csc_matrix(rows)
@@ -86,7 +86,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._equalities = equalities
 
     def _create_solver_from_form(self) -> None:
-        """Make a Clarabel solver, without presolve."""
+        """Make a Clarabel solver for the QP, without presolve."""
         settings = make_settings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
@@ -97,7 +97,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         )
 
     def _send_form_vectors(self) -> None:
-        """Update q and b of the Clarabel solver."""
+        """Pass the linear cost q and right-hand sides b to the Clarabel solver."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
     def _read_reported_status(self) -> Claim:
@@ -106,7 +106,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         return make_claim(result.status, int(result.iterations), result.solve_time)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of Clarabel's result."""
+        """Return solution z and multipliers y, y_box of Clarabel's result."""
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 

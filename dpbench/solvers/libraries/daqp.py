@@ -89,7 +89,7 @@ STATUS = {
 
 
 class DaqpWorkspace(NativeWorkspace):
-    """DAQP; `warm` keeps the active set of the previous solve, `reuse` empties it."""
+    """DAQP as QP solver; `warm` keeps the active set of the previous solve, `reuse` empties it."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
@@ -97,7 +97,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._result = (None, 0.0, 0, {})
 
     def _convert_matrices(self) -> None:
-        """Allocate the buffers that DAQP reads its vectors from, bounds first."""
+        """Allocate the arrays from which DAQP reads limits and vectors."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)
@@ -125,7 +125,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._unusable = flag < 0
 
     def update(self, step: QPStep) -> None:
-        """Copy new vectors into DAQP's buffers by a short path, since DAQP itself takes 1.5 µs."""
+        """Copy a step's vectors into DAQP's arrays by few calls, as DAQP solves in 1.5 µs."""
         new = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if new or self._result[2] != 1 or self._unusable or self.setup_every_step:
             super().update(step)
@@ -142,12 +142,12 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = self._update(*self._vectors)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Copy q and row limits into DAQP's buffers and update its model."""
+        """Copy linear cost and row limits into DAQP's arrays and update its model."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
 
     def solve(self) -> None:
-        """Call DAQP directly unless an earlier call failed."""
+        """Call DAQP; if it refused the problem or failed before, keep that as the result."""
         if self._refused or self._failure:
             super().solve()
             return
@@ -155,14 +155,14 @@ class DaqpWorkspace(NativeWorkspace):
         self._result = self._solve()
 
     def _run_solver(self) -> None:
-        """Call DAQP; keep its refusal where the model did not accept the problem."""
+        """Call DAQP; keep the error code if DAQP did not accept the problem."""
         if self._refused:
             self._result = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
         else:
             self._result = self._solve()
 
     def read(self) -> Solution:
-        """Return an optimal answer by a short path, any other by the general one."""
+        """Return DAQP's answer, by a short path if it is optimal."""
         z, value, flag, info = self._result
         if flag != 1 or not self._done or not isfinite(value):
             return super().read()
@@ -178,7 +178,7 @@ class DaqpWorkspace(NativeWorkspace):
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
     def _read_solution_vectors(self) -> Point | None:
-        """Return z, y and y_box of DAQP's result; None without a point."""
+        """Return solution z and multipliers y, y_box of DAQP's result; None without a point."""
         z, _, _, info = self._result
         if z is None:
             return None

@@ -82,7 +82,7 @@ STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 
 
 class HighsWorkspace(NativeWorkspace):
-    """HiGHS on two-sided rows and bounds, with a sparse Hessian."""
+    """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
     def _convert_matrices(self) -> None:
         """Write P, A and the bounds into a HiGHS model."""
@@ -125,7 +125,7 @@ class HighsWorkspace(NativeWorkspace):
             self._raise_on_error(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
 
     def _run_solver(self) -> None:
-        """Run HiGHS, with its time limit moved to this solve."""
+        """Run HiGHS; its time limit is raised by the run time of earlier solves."""
         if TIME_LIMIT in self._options:
             # HiGHS compares the limit with the run time of all solves of the object so far.
             limit_s = float(str(self._options[TIME_LIMIT]))
@@ -139,7 +139,7 @@ class HighsWorkspace(NativeWorkspace):
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
 
     def _read_solution_vectors(self) -> Point | None:
-        """Return z, y and y_box of HiGHS, with signs turned; None without."""
+        """Return HiGHS's solution z and multipliers, with their signs turned; None if none."""
         solution = self._solver.getSolution()
         if not solution.value_valid:
             return None

@@ -94,7 +94,7 @@ RECORD = SolverRecord(
 
 
 class HpipmStructures:
-    """C structures and memory of HPIPM for QPs of one size: data, solution, workspace.
+    """The C structures and memory in which HPIPM solves QPs of one size.
 
     Parameters
     ----------
@@ -131,22 +131,22 @@ class HpipmStructures:
         ]
 
     def look_up_function(self, name: str) -> Any:
-        """Return HPIPM's C function of this name for this kind of QP."""
+        """Return HPIPM's C function of this name, for dense or stage-wise QPs."""
         return getattr(self._library, f"{self._kind}_{name}")
 
     def list_array_calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
-        """Return (C function, address) to set or get each nonempty array."""
+        """Pair each nonempty array's address with the HPIPM function that sets or gets it."""
         named = [(name, array) for name, array in arrays.items() if array.size]
         return [
             (self.look_up_function(f"{verb}_{name}"), array_pointer(array)) for name, array in named
         ]
 
     def start_warm(self, given: bool) -> None:
-        """Select whether the next solve starts from the values in `sol`."""
+        """Select whether HPIPM's next solve starts from the values in its solution structure."""
         self._set_warm_start(self._warm_flags[given], self.arg)
 
     def solve(self) -> None:
-        """Solve the QP in `qp` and write the solution into `sol`."""
+        """Run HPIPM on the QP in its structures."""
         self._solve(self.qp, self.sol, self.arg, self.ws)
 
     def read_reported_status(self) -> Claim:
@@ -183,7 +183,7 @@ def array_pointer(array: NDArray[Any]) -> Any:
 
 
 class HpipmWorkspace(NativeWorkspace):
-    """Base of the dense and the stage-wise HPIPM solver, with limits of [A; I]."""
+    """Base of HPIPM's dense and stage-wise solvers, which treat limits of rows and bounds alike."""
 
     _parts: HpipmStructures
     _pattern: bytes | None = None
@@ -198,18 +198,18 @@ class HpipmWorkspace(NativeWorkspace):
 
     @abstractmethod
     def _send_vectors(self, q: Vector) -> None:
-        """Pass q and the stored limits to HPIPM."""
+        """Pass the linear cost q and the stored limits to HPIPM."""
 
     @abstractmethod
     def _write_start(self) -> None:
-        """Write the shifted previous answer into HPIPM's solution as the start."""
+        """Write the previous answer, shifted by a control increment, as HPIPM's start."""
 
     def _convert_matrices(self) -> None:
-        """Allocate the joint limit buffers of [A; I]."""
+        """Allocate limits of rows and bounds together, (m + n,)."""
         self._low, self._high = self._allocate_joint_limits()
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Pass q, limits and start on; make new structures if the pattern changed."""
+        """Pass q, limits and warm start on; make new structures if other limits are infinite."""
         if LimitSides.encode_pattern(low, high) != self._pattern:
             self._build_solver_for_step(q, low, high)
             return
@@ -232,7 +232,7 @@ class HpipmWorkspace(NativeWorkspace):
 
 
 class DenseLimits:
-    """Limits of [A; I] grouped as HPIPM takes them: equalities, bounds, general rows.
+    """Limits of rows and variables grouped as HPIPM takes them: equalities, bounds, general rows.
 
     The wheel's HPIPM reads an index it never set when the lower side of a bound is masked out, so a
     bound with an infinite side goes as a general row.
@@ -251,7 +251,7 @@ class DenseLimits:
         self.infinite = [np.flatnonzero(np.isinf(limit[self.sides])) for limit in (low, high)]
 
     def fill(self, low: Vector, high: Vector) -> None:
-        """Copy the limits of a step into the group buffers, 0 for infinite sides."""
+        """Copy a step's limits into the arrays of equalities, bounds and rows, 0 where infinite."""
         low.take(self.sides, out=self.low)
         high.take(self.sides, out=self.high)
         for limit, infinite in zip((self.low, self.high), self.infinite, strict=True):
@@ -261,7 +261,7 @@ class DenseLimits:
             high.take(self.equal, out=self.b)
 
     def infinite_side_masks(self) -> list[Vector]:
-        """Return two masks of general rows, lower and upper: 1 for finite sides, 0 for infinite."""
+        """Return which lower and which upper limits of general rows are finite, as 1 or 0."""
         masks = [np.ones(self.sides.size) for _ in range(2)]
         for mask, infinite in zip(masks, self.infinite, strict=True):
             mask[infinite] = 0.0
@@ -269,10 +269,10 @@ class DenseLimits:
 
 
 class DenseWorkspace(HpipmWorkspace):
-    """HPIPM's dense solver on lb ≤ v ≤ ub, lg ≤ C v ≤ ug, A v = b."""
+    """HPIPM's dense QP solver with bounds, two-sided general rows and equalities."""
 
     def _convert_matrices(self) -> None:
-        """Allocate the limit buffers and stack A and I as general rows."""
+        """Allocate the limits and stack A and I, so that bounds can be rows."""
         super()._convert_matrices()
         self._rows = stack_bound_rows(self._A, self._n)
 
@@ -299,7 +299,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._send_vectors(self._q)
 
     def _allocate_buffers(self, limits: DenseLimits) -> None:
-        """Allocate vectors in and out of HPIPM and look up their C functions."""
+        """Allocate the vectors passed to and from HPIPM and look up its C functions."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)
@@ -315,7 +315,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._getters = self._parts.list_array_calls("sol_get", outputs)
 
     def _send_vectors(self, q: Vector) -> None:
-        """Copy q and the limits into the buffers and pass them to HPIPM."""
+        """Pass the linear cost and the limits of a step to HPIPM."""
         self._g[:] = q
         self._limits.fill(self._low, self._high)
         qp = self._parts.qp
@@ -323,11 +323,11 @@ class DenseWorkspace(HpipmWorkspace):
             function(address, qp)
 
     def _write_start(self) -> None:
-        """Write the shifted previous z into HPIPM's solution."""
+        """Write the previous z, shifted by a control increment, as HPIPM's start."""
         self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box from HPIPM's dense solution."""
+        """Return solution z and multipliers y, y_box from HPIPM's dense solution."""
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:
             function(sol, address)

@@ -38,7 +38,7 @@ NOTHING: Indices = np.empty(0, dtype=np.intp)
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Indices of the variables and rows of one stage of an optimal control problem.
+    """Which variables and rows of a QP belong to one stage of its optimal control problem.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ class Stage:
 
     @property
     def variables(self) -> Indices:
-        """Indices of the stage's variables: inputs, then states."""
+        """Indices in the QP of the stage's variables: inputs, then states."""
         return np.concatenate([self.inputs, self.states])
 
 
 def split_stages(
     sizes: Sequence[tuple[int, int]], P: Matrix, A: Matrix, equal: Flags
 ) -> list[Stage]:
-    """Split a QP into the stages of an optimal control problem; one stage if it has none.
+    """Split a QP into the stages of an optimal control problem; one stage if that is not possible.
 
     A row with l = u that ends in a state, as the first one to do so, defines this state by the
     stage before. The cost and all other rows couple variables of one stage only.
@@ -101,7 +101,7 @@ def split_stages(
 
 
 def select_limit_rows(A: Matrix, numbers: Indices) -> Matrix:
-    """Return the rows of [A; I] with these numbers, (k, n)."""
+    """Return the rows with these numbers of A with bounds stacked below, [A; I]."""
     m, n = A.shape
     rows, own = np.zeros((numbers.size, n)), numbers >= m
     rows[~own] = A[numbers[~own]]
@@ -110,7 +110,7 @@ def select_limit_rows(A: Matrix, numbers: Indices) -> Matrix:
 
 
 class StageLimits:
-    """Limits of one stage, split into bounds on variables and general rows.
+    """Limits of one stage for HPIPM, split into bounds on variables and general rows.
 
     A row that is one variable itself is a bound of it, if it has no other. A limit without any
     finite side is none; one infinite side is masked out, which this interface of HPIPM bears in
@@ -138,11 +138,11 @@ class StageLimits:
 
     @property
     def sides(self) -> Indices:
-        """Row numbers in [A; I] of the stage's limits: bounds, then general rows."""
+        """Numbers of the stage's limits as rows of [A; I]: bounds, then general rows."""
         return np.concatenate([self.bounds, self.rows])
 
     def infinite_side_masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """Return HPIPM's masks of infinite sides (0) by name; only masks with a 0."""
+        """Return 1 for finite and 0 for infinite limits, by HPIPM's names; only with a 0."""
         # A NaN is a limit like any other.
         masks = {
             f"{side}{kind}_mask": 1.0 - np.isinf(limit[numbers])
@@ -153,7 +153,7 @@ class StageLimits:
 
 
 class StageData:
-    """Matrices of all stages for HPIPM, and the order of variables, dynamics and limits.
+    """A QP's matrices stage by stage for HPIPM, and the order of variables, dynamics and limits.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class StageData:
         self.matrices = [self._stage_matrices(k, P, A) for k in range(len(stages))]
 
     def _stage_matrices(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
-        """Return cost, dynamics and constraint matrices of stage k, by HPIPM's names."""
+        """Return cost, dynamics and constraint matrices of stage k by HPIPM's names for them."""
         stage, limits = self.stages[k], self.limits[k]
         u, x, general = stage.inputs, stage.states, select_limit_rows(A, limits.rows)
         matrices: dict[str, NDArray[Any]] = {
@@ -201,7 +201,7 @@ class StageData:
 
     @property
     def sizes(self) -> list[NDArray[np.intc]]:
-        """Arrays nx, nu, nbx, nbu, ng, ns over the stages."""
+        """Numbers of states, inputs, bounds and rows in each stage, as arrays for HPIPM."""
         inputs = np.array([stage.inputs.size for stage in self.stages])
         on_inputs = [
             np.count_nonzero(limits.positions < n)
@@ -219,7 +219,7 @@ class StageData:
 
 
 class StagedVector:
-    """One vector of all stages, passed to HPIPM for those stages where it has changed.
+    """A vector over all stages, passed to HPIPM only for stages in which it has changed.
 
     Parameters
     ----------
@@ -244,11 +244,11 @@ class StagedVector:
                 at += size
 
     def gather(self, source: Vector, numbers: Indices) -> Vector:
-        """Return selected entries of a QP vector in a buffer that `send` passes on."""
+        """Select entries of a QP vector in stage order, to be passed to HPIPM by `send`."""
         return source.take(numbers, out=self._new)
 
     def send(self, everything: bool = False) -> None:
-        """Pass the gathered values to HPIPM, for changed stages or for all."""
+        """Pass the selected entries to HPIPM, for stages where they changed or for all."""
         changed = np.not_equal(self._new, self.values, out=self._changed)
         if not (everything or changed.any()):
             return
@@ -265,10 +265,10 @@ def piece_addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
 
 
 class OcpWorkspace(HpipmWorkspace):
-    """HPIPM's optimal control solver, on stages found in the QP."""
+    """HPIPM's stage-wise optimal control solver, for a QP in which stages are found."""
 
     def _convert_matrices(self) -> None:
-        """Allocate the limit buffers and discard the known stages."""
+        """Allocate the limits; have the stages of the QP found again."""
         super()._convert_matrices()
         self._pattern = None
 
@@ -293,7 +293,7 @@ class OcpWorkspace(HpipmWorkspace):
         self._send_vectors(self._q, everything=True)
 
     def _mask_infinite_sides(self) -> None:
-        """Mask out limits that are infinite, which HPIPM cannot take as numbers."""
+        """Have HPIPM ignore infinite limits, which it cannot take as numbers."""
         sides, parts = self._data.sides, self._parts
         self._infinite = [np.flatnonzero(np.isinf(a[sides])) for a in (self._low, self._high)]
         for k, limits in enumerate(self._data.limits):
@@ -301,7 +301,7 @@ class OcpWorkspace(HpipmWorkspace):
                 parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
 
     def _allocate_buffers(self) -> None:
-        """Allocate vectors of all stages and tables of their addresses for HPIPM."""
+        """Allocate vectors over all stages, and tables of the addresses that HPIPM reads."""
         nx, nu, nbx, nbu, ng, _ = self._data.sizes
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
@@ -331,7 +331,7 @@ class OcpWorkspace(HpipmWorkspace):
         )
 
     def _send_vectors(self, q: Vector, everything: bool = False) -> None:
-        """Gather q, dynamics offsets and limits by stage and pass them to HPIPM."""
+        """Pass q, dynamics offsets and limits of a step to HPIPM, stage by stage."""
         data = self._data
         self._cost.gather(q, data.order)
         b = self._b.gather(self._high, data.dynamics)
@@ -345,12 +345,12 @@ class OcpWorkspace(HpipmWorkspace):
             part.send(everything)
 
     def _write_start(self) -> None:
-        """Write the shifted previous z, in stage order, into HPIPM's solution."""
+        """Write the previous z, shifted by a control increment, as HPIPM's start."""
         self._start.z.take(self._data.order, out=self._z)
         self._set(*self._pieces, self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box from HPIPM's stage-wise solution."""
+        """Return solution z and multipliers y, y_box from HPIPM's stage-wise solution."""
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)

@@ -39,7 +39,7 @@ SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
 
 class NativeWorkspace(Workspace):
-    """Base of solvers called through their own interface: data, life cycle and failures.
+    """Base of solvers called through their library's own interface: QP data, calls and failures.
 
     Whatever a method of a subclass raises becomes the status ERROR with the library's words. Where
     a warm start is made of vectors, `_start` holds the previous answer.
@@ -75,11 +75,11 @@ class NativeWorkspace(Workspace):
 
     @abstractmethod
     def _build_solver(self) -> None:
-        """Make a new library object from the converted matrices and q, l, u."""
+        """Make a new library object from the converted matrices, linear cost and limits."""
 
     @abstractmethod
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Pass q and the row limits of a step to the library, in place."""
+        """Pass a step's linear cost q and row limits to the library, in place."""
 
     def _run_solver(self) -> None:
         """Call the library's solve function."""
@@ -91,7 +91,7 @@ class NativeWorkspace(Workspace):
 
     @abstractmethod
     def _read_solution_vectors(self) -> Point | None:
-        """Return z, y and y_box in new memory; None if there are none."""
+        """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
     def _apply_options(self, settings: Any) -> None:
         """Set the solver options as attributes of a settings object."""
@@ -99,27 +99,27 @@ class NativeWorkspace(Workspace):
             setattr(settings, name, value)
 
     def _allocate_joint_limits(self) -> tuple[Vector, Vector]:
-        """Return limit buffers (m + n,) of [A; I], with the bounds written in."""
+        """Allocate limits (m + n,) of rows and bounds together, with the bounds written in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
     def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Store q, l, u of a step and make a new library object for them."""
+        """Store a step's linear cost and row limits and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
         self._build_with_empty_start()
 
     def _build_with_empty_start(self) -> None:
-        """Make a new library object, with the stored warm start cleared."""
+        """Make a new library object and discard the stored warm start."""
         if self._given_start:
             self._start = WarmStart(self._n, self._m, self._block)
         self._build_solver()
 
     def _advance_start(self) -> bool:
-        """Shift the stored warm start to this step; return whether there is one."""
+        """Shift the stored warm start by a control increment; return whether there is one."""
         return self._given_start and self._start.advance()
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem, make a new library object and discard earlier answers."""
+        """Copy the QP, make a new library object and discard earlier answers."""
         self._clear_answer_state()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         order = (self._block, self._stages) == (qp.block, qp.stages)
@@ -171,7 +171,7 @@ class NativeWorkspace(Workspace):
             self._record_failure(error)
 
     def _rebuild_solver(self) -> None:
-        """Make a new library object; store what the library raises as the failure."""
+        """Make a new library object; store an exception of the library as the solve's failure."""
         self._unusable = self._used = False
         self._failure = ""
         try:
@@ -187,7 +187,7 @@ class NativeWorkspace(Workspace):
         self._failure, self._unusable = describe_exception(error), True
 
     def solve(self) -> None:
-        """Call the library; store whatever it raises, for `read` to report."""
+        """Call the library's solver; store an exception, for `read` to report."""
         if self._failure:
             return
         self._done = self._unread = self._used = True
@@ -197,7 +197,7 @@ class NativeWorkspace(Workspace):
             self._record_failure(error)
 
     def read(self) -> Solution:
-        """Return the answer; after an unusable one the next update makes a new library object."""
+        """Return the solver's answer; after a failure, have a new library object made next."""
         if self._n < 0:
             raise missing_setup_error("read")
         if self._failure:
@@ -229,26 +229,26 @@ class NativeWorkspace(Workspace):
     def _make_empty_solution(
         self, status: Status, iterations: int, reported_ns: int, detail: str
     ) -> Solution:
-        """Return an answer without numbers, with status, iterations and time [ns]."""
+        """Return an answer without numbers, with given status, iterations and time [ns]."""
         solution = Solution.missing(self._n, self._m, status, detail)
         solution.iterations, solution.reported_ns = iterations, reported_ns
         return solution
 
     def reset(self) -> None:
-        """Make a new library object without a warm start, unless it is unused."""
+        """Discard the warm start by making a new library object, unless it has not been used."""
         stale = self._used or self._unusable
         self._clear_answer_state()
         if stale and not self.setup_every_step:
             self._rebuild_solver()
 
     def _clear_answer_state(self) -> None:
-        """Clear the flags and the failure text of earlier answers."""
+        """Clear the flags and the failure text of earlier solves."""
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
 
 class OneSidedWorkspace(NativeWorkspace):
-    """Base of native solvers that take A z = b and G z ≤ h, one side of a limit only.
+    """Base of solvers whose library takes only A z = b and G z ≤ h, not two-sided limits.
 
     Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
     of another pattern makes the library object anew.
@@ -258,17 +258,17 @@ class OneSidedWorkspace(NativeWorkspace):
 
     @abstractmethod
     def _create_solver_from_form(self) -> None:
-        """Make a new library object from the one-sided form."""
+        """Make a new library object from the QP with A z = b, G z ≤ h."""
 
     @abstractmethod
     def _send_form_vectors(self) -> None:
-        """Pass the vectors of the one-sided form to the library."""
+        """Pass the linear cost q and right-hand sides b, h to the library."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert the matrices of a new one-sided form for the library."""
+        """Convert P, A and G of a QP with A z = b, G z ≤ h for the library."""
 
     def _convert_matrices(self) -> None:
-        """Convert the two-sided problem into the one-sided form."""
+        """Convert the QP with two-sided limits into A z = b, G z ≤ h."""
         qp = QuadraticProgram(
             self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
         )
@@ -276,14 +276,14 @@ class OneSidedWorkspace(NativeWorkspace):
         self._prepare_form_matrices()
 
     def _build_solver(self) -> None:
-        """Make a new library object, with a new form if other limits are infinite."""
+        """Make a new library object; convert the QP again if other limits are infinite."""
         if not self._form.has_same_pattern(self._l, self._u):
             self._convert_matrices()
         self._form.fill(self._q, self._l, self._u)
         self._create_solver_from_form()
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Pass the vectors on; make a new library object if the pattern changed."""
+        """Pass on a step's vectors; make a new library object if other limits are infinite."""
         if self._form.has_same_pattern(low, high):
             self._form.fill(q, low, high)
             self._send_form_vectors()
@@ -291,7 +291,7 @@ class OneSidedWorkspace(NativeWorkspace):
             self._build_solver_for_step(q, low, high)
 
     def _stack_form_rows(self) -> tuple[Matrix, int, int]:
-        """Return [A; G], the number of equalities and that of inequalities."""
+        """Return equality and inequality rows stacked, [A; G], and the number of each."""
         parts = [M for M in (self._form.A, self._form.G) if M is not None]
         rows = np.vstack(parts) if parts else np.empty((0, self._n))
         equalities = 0 if self._form.b is None else self._form.b.size
@@ -315,14 +315,14 @@ class WarmStart:
         self.known = False
 
     def remember(self, solution: Solution) -> None:
-        """Store a copy of an answer's z, y and y_box."""
+        """Store a copy of an answer's solution and multipliers for the next warm start."""
         answer = (solution.z, solution.y, solution.y_box)
         for (_, last, _), value in zip(self._last, answer, strict=True):
             last[:] = value
         self.known = True
 
     def advance(self) -> bool:
-        """Shift the stored answer into `z`, `y`, `y_box`; return whether there is one."""
+        """Shift the stored answer by one control increment; return whether there is one."""
         if self.known:
             for target, last, by in self._last:
                 shift_into(target, last, by)

@@ -104,14 +104,14 @@ INFINITY = 1e30  # OSQP_INFTY
 
 
 class OsqpWorkspace(NativeWorkspace):
-    """OSQP on rows [A; I]; `reuse` keeps the factorisation and ρ, and starts at zero."""
+    """OSQP as QP solver, bounds as rows; `reuse` keeps factors and step size ρ, starts at zero."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._library = import_module("osqp.ext_builtin")
 
     def _convert_matrices(self) -> None:
-        """Convert P and [A; I] to OSQP's sparse columns and allocate limits."""
+        """Convert P and [A; I], bounds as rows, to sparse for OSQP and allocate limits."""
         csc, n, m = self._library.CSC, self._n, self._m
         self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
         self._rows = csc(scipy.sparse.csc_matrix(stack_bound_rows(self._A, n)))
@@ -121,7 +121,7 @@ class OsqpWorkspace(NativeWorkspace):
         self._low_rows, self._high_rows = self._low[:m], self._high[:m]
 
     def _clip_row_limits(self, low: Vector, high: Vector) -> None:
-        """Write row limits into the buffers, clipped to OSQP's infinity of 1e30."""
+        """Write row limits into OSQP's arrays, clipped to ±1e30, which OSQP takes as infinite."""
         np.maximum(low, -INFINITY, out=self._low_rows)
         np.minimum(high, INFINITY, out=self._high_rows)
 
@@ -153,7 +153,7 @@ class OsqpWorkspace(NativeWorkspace):
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of OSQP's solution."""
+        """Return solution z and multipliers y, y_box of OSQP's solution."""
         solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]

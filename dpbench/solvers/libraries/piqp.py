@@ -88,7 +88,7 @@ MULTISTAGE = replace(
 
 
 class PiqpWorkspace(NativeWorkspace):
-    """PIQP with rows as h_l ≤ G x ≤ h_u, those with l = u as A x = b, and bounds as bounds.
+    """PIQP as QP solver: rows two-sided, those with equal limits as equalities, bounds apart.
 
     A row with l = u leaves an interior-point method no interior, so another pattern of equalities
     makes the library object anew.
@@ -111,7 +111,7 @@ class PiqpWorkspace(NativeWorkspace):
         return getattr(self._library, kind)()
 
     def _build_solver(self) -> None:
-        """Make a PIQP solver and set it up; split rows again if equalities changed."""
+        """Make and set up a PIQP solver; split the rows again if other rows are equalities."""
         if (self._l == self._u).tobytes() != self._pattern:
             self._convert_matrices()
         solver = self._make_piqp_solver()
@@ -125,7 +125,7 @@ class PiqpWorkspace(NativeWorkspace):
         self._solver = solver
 
     def _row_limit_keywords(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """Return the row limits as PIQP's keyword arguments b, h_l, h_u."""
+        """Return row limits by PIQP's names: b of equalities, h_l and h_u of other rows."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}
@@ -147,7 +147,7 @@ class PiqpWorkspace(NativeWorkspace):
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of PIQP's result."""
+        """Return solution z and multipliers y, y_box of PIQP's result."""
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -158,7 +158,7 @@ class PiqpWorkspace(NativeWorkspace):
 
 
 class MultistageWorkspace(PiqpWorkspace):
-    """PIQP with its stage-wise factorisation of optimal control problems."""
+    """PIQP as QP solver, with its stage-wise factorisation for optimal control problems."""
 
     def _make_piqp_solver(self) -> Any:
         """Return a sparse PIQP solver with the stage-wise factorisation."""

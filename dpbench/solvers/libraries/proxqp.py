@@ -104,14 +104,14 @@ SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": REC
 
 
 class ProxqpWorkspace(NativeWorkspace):
-    """ProxQP with rows l ≤ C x ≤ u; bounds as bounds if dense, as rows if sparse."""
+    """ProxQP as QP solver with two-sided rows; dense, or sparse with bounds as rows."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._library = self._library.proxqp
 
     def _convert_matrices(self) -> None:
-        """Allocate limit buffers; convert P and [A; I] if the form is sparse."""
+        """Allocate limits; in the sparse form, convert P and [A; I], bounds as rows."""
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
         self._low, self._high = np.empty(m), np.empty(m)
@@ -153,7 +153,7 @@ class ProxqpWorkspace(NativeWorkspace):
                     shift_into(part, part.copy(), by)
 
     def _read_reported_status(self) -> Claim:
-        """Read ProxQP's status; note a failure it would not recover from."""
+        """Read ProxQP's status and iterations; note a failure after which it must be made anew."""
         self._result = self._solver.results
         info = self._result.info
         claimed = read_info(info, info.solve_time, self._options)
@@ -161,14 +161,14 @@ class ProxqpWorkspace(NativeWorkspace):
         return claimed
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of ProxQP's result."""
+        """Return solution z and multipliers y, y_box of ProxQP's result."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
         return z, y[:m], y[m:]
 
     def _store_start(self, solution: Solution) -> None:
-        """Mark ProxQP's own last result as a warm start to shift."""
+        """Note that ProxQP's own last result can be shifted as a warm start."""
         self._shiftable = True
 
 
@@ -178,7 +178,7 @@ def make_settings() -> Any:
 
 
 def list_options() -> list[str]:
-    """List ProxQP's settings except the initial guess, which the policy sets."""
+    """List the names of ProxQP's settings, except the initial guess."""
     return [name for name in list_attributes(make_settings()) if name != "initial_guess"]
 
 

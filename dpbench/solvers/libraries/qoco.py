@@ -45,10 +45,10 @@ STATUS = {
 
 
 class QocoWorkspace(OneSidedWorkspace):
-    """QOCO on A z = b, G z ≤ h, through its own interface."""
+    """QOCO as QP solver, on A z = b and G z ≤ h."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert P, A and G to sparse columns."""
+        """Convert cost P, equality rows A and inequality rows G to sparse for QOCO."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
@@ -67,7 +67,7 @@ class QocoWorkspace(OneSidedWorkspace):
         self._result = self._solver._solver.solution
 
     def _send_form_vectors(self) -> None:
-        """Update q, b and h of the QOCO solver."""
+        """Pass linear cost q and right-hand sides b, h to the QOCO solver."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
@@ -83,7 +83,7 @@ class QocoWorkspace(OneSidedWorkspace):
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of QOCO's solution."""
+        """Return solution z and multipliers y, y_box of QOCO's solution."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)

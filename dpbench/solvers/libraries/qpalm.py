@@ -78,10 +78,10 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 
 
 class QpalmWorkspace(NativeWorkspace):
-    """QPALM on rows [A; I]; without a warm start, a solve begins at zero."""
+    """QPALM as QP solver, bounds as rows; without a warm start, a solve begins at zero."""
 
     def _convert_matrices(self) -> None:
-        """Convert P and [A; I] to QPALM's sparse data and allocate limits."""
+        """Convert P and [A; I], bounds as rows, to sparse for QPALM and allocate limits."""
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
@@ -108,7 +108,7 @@ class QpalmWorkspace(NativeWorkspace):
             solver.warm_start(self._start.z, self._start.dual)
 
     def _run_solver(self) -> None:
-        """Call QPALM synchronously."""
+        """Call QPALM and wait for its result."""
         self._solver.solve(asynchronous=False)
 
     def _read_reported_status(self) -> Claim:
@@ -117,7 +117,7 @@ class QpalmWorkspace(NativeWorkspace):
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of QPALM's solution."""
+        """Return solution z and multipliers y, y_box of QPALM's solution."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()

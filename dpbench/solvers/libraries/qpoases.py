@@ -60,10 +60,10 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 
 class QpoasesWorkspace(NativeWorkspace):
-    """qpOASES through casadi's buffers; a solve after the first is a hot start."""
+    """qpOASES as QP solver, called through casadi; after the first solve it starts hot."""
 
     def _convert_matrices(self) -> None:
-        """Lay out P and A by columns for qpOASES; allocate its inputs and outputs."""
+        """Lay out P and A in qpOASES's memory order; allocate its inputs and outputs."""
         n, m = self._n, self._m
         self._inputs = {
             "h": np.asfortranarray(self._P).ravel("K"),
@@ -76,7 +76,7 @@ class QpoasesWorkspace(NativeWorkspace):
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
     def _build_solver(self) -> None:
-        """Make a casadi function of qpOASES and attach the buffers to it."""
+        """Make casadi's qpOASES function and attach its inputs and outputs."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -97,11 +97,11 @@ class QpoasesWorkspace(NativeWorkspace):
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
     def _run_solver(self) -> None:
-        """Call qpOASES on the attached buffers."""
+        """Call qpOASES on the stored inputs and outputs."""
         self._trigger()
 
     def _read_reported_status(self) -> Claim:
-        """Read return status and iterations of qpOASES; NaN costs are failures."""
+        """Read qpOASES's status and iterations; a NaN cost counts as failure."""
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
@@ -110,7 +110,7 @@ class QpoasesWorkspace(NativeWorkspace):
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
     def _read_solution_vectors(self) -> Point | None:
-        """Return z, y and y_box; None if the status is unknown."""
+        """Return solution z and multipliers y, y_box; None if the status is unknown."""
         # Without a reason for a failure, x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
             return None

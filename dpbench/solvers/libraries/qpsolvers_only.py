@@ -22,7 +22,7 @@ CONEQP_MAXITERS = 100
 
 
 def read_coneqp_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read CVXOPT's status and iterations; "unknown" is the iteration limit or a breakdown."""
+    """Read CVXOPT's status and iterations; its "unknown" is the iteration limit or a breakdown."""
     name, iterations = str(answer.extras["status"]), int(answer.extras["iterations"])
     if name == "optimal":
         status = Status.SOLVED
@@ -280,7 +280,7 @@ QPAX_MAX_ITER = 30
 
 
 def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read qpax's status and iterations; a failure at the limit is MAX_ITERATIONS."""
+    """Read qpax's status and iterations; not solved at the iteration limit is MAX_ITERATIONS."""
     iterations = int(answer.extras["info"]["iterations"])
     if bool(answer.found):
         return ClaimedStatus(Status.SOLVED, iterations)

@@ -29,7 +29,7 @@ IGNORE_ALL = ("ignore", None, Warning, None, 0)
 
 
 class QpsolversWorkspace(Workspace):
-    """A solver called through qpsolvers, which sets the library up anew at every solve."""
+    """A QP solver called through qpsolvers, which sets the library up anew at every solve."""
 
     def __init__(self, adapter: QpsolversAdapter, policy: Policy, options: Options) -> None:
         super().__init__(adapter.record.name, "qpsolvers", policy)
@@ -43,24 +43,24 @@ class QpsolversWorkspace(Workspace):
         self._last: np.ndarray | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Convert `qp` into the library's form and discard earlier answers."""
+        """Convert a QP into the library's form and discard earlier answers."""
         self.reset()
         self._convert_problem(qp.copy())
 
     def _convert_problem(self, qp: QuadraticProgram) -> None:
-        """Store `qp` and convert it into the one-sided form of the library."""
+        """Store a QP and convert its two-sided limits to G z ≤ h, A z = b."""
         self._base = qp
         self._form = OneSidedForm(qp, self.form, self._adapter.box)
         self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
 
     def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-        """Write q and row limits into a new `qpsolvers.Problem`."""
+        """Make a `qpsolvers.Problem` of a step's linear cost and row limits."""
         form = self._form
         form.fill(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
 
     def update(self, step: QPStep) -> None:
-        """Take over the vectors; convert again if matrices or the limit pattern change."""
+        """Take over a step's vectors; convert again if matrices or infinite limits change."""
         base = self._base
         if base is None:
             raise missing_setup_error("update")
@@ -75,7 +75,7 @@ class QpsolversWorkspace(Workspace):
             self._convert_problem(base.at(step).copy())
 
     def _shift_last_answer(self, block: int) -> np.ndarray | None:
-        """Return the previous z shifted by one block; None without one."""
+        """Return the previous z shifted by one control increment, as a start; None without one."""
         if self._unread:
             self.read()
         if self._last is None or block == 0:
@@ -99,11 +99,11 @@ class QpsolversWorkspace(Workspace):
             self._failure = describe_exception(error)
 
     def _run_solver(self) -> Any:
-        """Call `qpsolvers.solve_problem` with the warm start and the options."""
+        """Call qpsolvers on the QP with the warm start and the options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
-        """Return the answer, with multipliers mapped to the two-sided problem."""
+        """Return the answer, with multipliers converted to those of two-sided limits."""
         if self._base is None:
             raise missing_setup_error("read")
         n, m = self._base.n, self._base.m

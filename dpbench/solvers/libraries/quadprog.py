@@ -60,7 +60,7 @@ STATUS = {
 
 
 class QuadprogWorkspace(OneSidedWorkspace):
-    """quadprog on Cᵀ z ≥ b; policy reuse keeps the inverse Cholesky factor of P."""
+    """quadprog as QP solver, on Cᵀ z ≥ b; `reuse` keeps the inverse Cholesky factor of P."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
@@ -69,7 +69,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._status, self._words = Status.UNKNOWN, ""
 
     def _prepare_form_matrices(self) -> None:
-        """Stack [A; −G] transposed as quadprog takes it; allocate b."""
+        """Stack equality and inequality rows, transposed and signed as quadprog takes them."""
         rows, equalities, _ = self._stack_form_rows()
         rows[equalities:] *= -1.0
         self._C = np.asfortranarray(rows.T) if rows.size else None
@@ -77,7 +77,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._equalities, self._a = equalities, np.empty(self._n)
 
     def _create_solver_from_form(self) -> None:
-        """Invert the Cholesky factor of P unless the policy is fresh."""
+        """Invert the Cholesky factor of P, unless every solve is to start from nothing."""
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
         if self._factorized:
@@ -87,7 +87,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._send_form_vectors()
 
     def _send_form_vectors(self) -> None:
-        """Write −q and the limits [b; −h] into quadprog's arguments."""
+        """Write a step's linear cost and limits, signed as quadprog takes them."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
         if self._b is not None:
@@ -112,7 +112,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
     def _read_solution_vectors(self) -> Point | None:
-        """Return z, y and y_box of quadprog's result; None after an error."""
+        """Return solution z and multipliers y, y_box of quadprog's result; None after an error."""
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result

@@ -70,7 +70,7 @@ OPTION_NAMES = (
 
 
 def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """Convert SCS's info into status, iterations, time [ns] and text; name the limit reached."""
+    """Convert SCS's status, iterations and time to the common form; name the limit reached."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
@@ -90,10 +90,10 @@ THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION
 
 
 class ScsWorkspace(OneSidedWorkspace):
-    """SCS on [A; G] z + s = [b; h]; `warm` gives it x, y and the slacks s that go with x."""
+    """SCS as QP solver, in conic form [A; G] z + s = [b; h]; `warm` gives z, multipliers and s."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert P and [A; G] to sparse columns, with a zero row if empty."""
+        """Convert P and stacked rows [A; G] to sparse for SCS, with a zero row if there is none."""
         rows, equalities, inequalities = self._stack_form_rows()
         self._empty = not rows.size
         if self._empty:
@@ -107,13 +107,13 @@ class ScsWorkspace(OneSidedWorkspace):
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
     def _create_solver_from_form(self) -> None:
-        """Make an SCS solver from data, cone and options."""
+        """Make an SCS solver from matrices, vectors, cone sizes and options."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Update the vectors; convert the warm start into SCS's y and slacks."""
+        """Pass a step's vectors to SCS; convert the warm start into its multipliers and slacks."""
         super()._update_vectors(q, low, high)
         if not self._advance_start():
             return
@@ -125,7 +125,7 @@ class ScsWorkspace(OneSidedWorkspace):
             self._s[: self._equalities] = 0.0
 
     def _send_form_vectors(self) -> None:
-        """Update b and c of the SCS solver."""
+        """Pass right-hand sides b and linear cost c to the SCS solver."""
         self._solver.update(b=self._b, c=self._form.q)
 
     def _run_solver(self) -> None:
@@ -141,7 +141,7 @@ class ScsWorkspace(OneSidedWorkspace):
         return make_claim(info, info["solve_time"])
 
     def _read_solution_vectors(self) -> Point:
-        """Return z, y and y_box of SCS's result."""
+        """Return solution z and multipliers y, y_box of SCS's result."""
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)

@@ -55,21 +55,21 @@ WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
 
 
 def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    """Open the paper's active-set solver, which has no options."""
+    """Open dpbench's solver by the paper's active-set method, which has no options."""
     from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
     return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
 def _open_hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    """Open Hildreth's method with the given options."""
+    """Open dpbench's solver by Hildreth's dual method, with the given options."""
     from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
     return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
 
 
 def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    """Open the unconstrained law, which has no options."""
+    """Open dpbench's solver that ignores all constraints and has no options."""
     from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
 
     return UnconstrainedWorkspace(record.name, "native", policy)

@@ -27,7 +27,7 @@ NOT_SOLVED_YET = -100
 
 
 class CompiledWorkspace(Workspace):
-    """Base of dpbench's compiled solvers, whose QP and answer are in one array S."""
+    """Base of dpbench's own compiled QP solvers, which keep QP and answer in one work array."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
@@ -40,11 +40,11 @@ class CompiledWorkspace(Workspace):
         self._unusual: Solution
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Write `qp` into the work array; a P not positive definite is an ERROR at solve."""
+        """Write `qp` into the work array; if P is not positive definite, solving ends in ERROR."""
         self._write_problem(qp.copy())
 
     def _write_problem(self, qp: QuadraticProgram) -> None:
-        """Write `qp` into the work array S, which is allocated for a new size."""
+        """Write `qp` into the work array, allocating a new one if the size differs."""
         before, n, m = self._base, qp.n, qp.m
         self._base, self._others, self._ending = qp, False, NOT_SOLVED_YET
         if self._S is None or before is None or (before.n, before.m) != (n, m):
@@ -54,7 +54,7 @@ class CompiledWorkspace(Workspace):
         self._refusal = write_problem(self._S, qp, keep=self.policy == "warm")
 
     def update(self, step: QPStep) -> None:
-        """Write new vectors and changed rows of A; factorise a new P."""
+        """Write a step's vectors and changed rows of A; factorise P again if it is new."""
         self._ending = NOT_SOLVED_YET
         if step.P is None and step.lb is None and step.ub is None and not self._refusal:
             try:
@@ -74,7 +74,7 @@ class CompiledWorkspace(Workspace):
         return taken
 
     def _update_slowly(self, step: QPStep) -> None:
-        """Take over a step of other array types or new matrices, shapes checked."""
+        """Write a step that changes P or bounds or has other array types; check its shapes."""
         base = self._base
         if base is None or self._S is None:
             raise missing_setup_error("update")
@@ -95,7 +95,7 @@ class CompiledWorkspace(Workspace):
         self._ending = layout.UNDECIDED
 
     def read(self) -> Solution:
-        """Return the answer in new memory, with a status for each ending of the solve."""
+        """Return a copy of the answer, with a status that says how the solve ended."""
         ending = self._ending
         if ending >= 0:
             return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
@@ -109,7 +109,7 @@ class CompiledWorkspace(Workspace):
         return answer.with_iterate(answer.z.copy(), answer.y.copy(), answer.y_box.copy())
 
     def _make_crossed_limits_solution(self) -> Solution:
-        """Return the answer for crossed or NaN limits, with a proof."""
+        """Return PRIMAL_INFEASIBLE with a proof for limits that cross, ERROR for NaN limits."""
         qp = self._copy_current_problem()
         low, high = qp.limits()
         if np.isnan(low).any() or np.isnan(high).any():
@@ -124,26 +124,26 @@ class CompiledWorkspace(Workspace):
         return answer
 
     def _copy_current_problem(self) -> QuadraticProgram:
-        """Return a copy of the QP in the work array."""
+        """Return a copy of the QP that is to be solved, from the work array."""
         assert self._base is not None and self._S is not None
         base = self._base_with_current_rows(self._base)
         q, low, high = (array.copy() for array in vector_views(self._S, base.n, base.m))
         return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
 
     def _base_with_current_rows(self, base: QuadraticProgram) -> QuadraticProgram:
-        """Return the QP of the set-up with the rows of A changed since."""
+        """Return the QP given to `setup`, with the rows of A that have changed since."""
         if self._others and self._S is not None:
             base = self._base = replace(base, A=self._constraints[0].copy())
             self._others = False
         return base
 
     def _make_empty_solution(self, status: Status, detail: str) -> Solution:
-        """Return an answer without numbers, of this status and detail."""
+        """Return an answer of NaN with a given status and explanation."""
         if self._base is None:
             raise missing_setup_error("read")
         return Solution.missing(self._base.n, self._base.m, status, detail)
 
     def reset(self) -> None:
-        """Make the next solve start from an empty active set."""
+        """Make the next solve start without a warm start, from an empty active set."""
         if self._S is not None:
             self._S[layout.HEAD, layout.STALE] = 1.0

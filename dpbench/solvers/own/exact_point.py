@@ -73,7 +73,7 @@ LARGEST = 40
 
 
 def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
-    """Bound max_i |z_i − z*_i| by an exact point z′ near z.
+    """Bound the error max_i |z_i − z*_i| of a QP's answer z by an exactly feasible point near it.
 
     inf where there is no such z′ or λ names an infinite limit; NaN beyond `LARGEST` equations.
 
@@ -98,13 +98,13 @@ def error_bound(problem: JointQP, z: Vector, lam: Vector) -> float:
 
 
 def is_regular_vertex(problem: JointQP, z: Vector) -> bool:
-    """Return whether z's limits meet at angles above `STEEP`, so that rounding moves z little."""
+    """Return whether limits met at z are independent enough that rounding moves z little."""
     return has_independent_rows(problem.C[find_met_limits(problem, z) != 0], STEEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ExactPoint:
-    """An exact rational point z′ = z + δ, δ = step·2^exponent / denominator on `columns`."""
+    """A point near answer z, in exact rational numbers: z plus shifts of a few variables."""
 
     problem: JointQP
     z: Dyadic
@@ -117,7 +117,7 @@ class _ExactPoint:
     def move_onto_limits(
         cls, problem: JointQP, z: Vector, held: Indices, limit: Vector
     ) -> _ExactPoint | None:
-        """Move z exactly onto the limits of the rows `held`; None if singular."""
+        """Move z exactly onto the limits of the rows numbered `held`; None if dependent."""
         start, columns = Dyadic.of(z), _pivot_columns(problem.C[held])
         held = held[_elimination_order(problem.C[np.ix_(held, columns)])]
         K = Dyadic.of(problem.C[np.ix_(held, columns)])
@@ -129,12 +129,12 @@ class _ExactPoint:
         return cls(problem, start, columns, step, denominator, missing.exponent - K.exponent)
 
     def size(self) -> float:
-        """Return the largest shift, max_i |δ_i|."""
+        """Return the largest shift of a variable, max_i |δ_i|."""
         unit = Fraction(2) ** self.exponent / self.denominator
         return max((abs(float(int(x) * unit)) for x in self.step), default=0.0)
 
     def excess_over(self, row: int, limit: float) -> float:
-        """Return C z′ minus a limit for one row, rounded once."""
+        """Return an exact point's row value minus a limit of that row, rounded only once."""
         C = Dyadic.of(self.problem.C[[row]])
         over = C @ self.z - Dyadic.of(np.array([limit]))
         along = C.whole[0, self.columns] @ self.step if len(self.step) else 0
@@ -143,7 +143,7 @@ class _ExactPoint:
         return float(value + int(along) * unit)
 
     def is_feasible(self, rows: Indices) -> bool:
-        """Return whether z′ satisfies both limits of each of `rows` exactly."""
+        """Return whether the exact point satisfies both limits of each numbered row."""
         L, U = self.problem.L, self.problem.U
         for i in rows:
             if U[i] < inf and self.excess_over(i, U[i]) > 0.0:
@@ -154,7 +154,7 @@ class _ExactPoint:
 
 
 def _pivot_columns(C: Matrix) -> Indices:
-    """Return as many columns as rows, on which the rows are independent."""
+    """Return columns of C, as many as rows, that form a nonsingular square matrix."""
     if not len(C):
         return np.array([], dtype=np.intp)
     _, order = scipy.linalg.qr(C, mode="r", pivoting=True)
@@ -162,7 +162,7 @@ def _pivot_columns(C: Matrix) -> Indices:
 
 
 def _elimination_order(square: Matrix) -> Indices:
-    """Return the order of rows in which elimination meets no zero pivot."""
+    """Return an order of a matrix's rows in which Gaussian elimination meets no zero pivot."""
     if not len(square):
         return np.array([], dtype=np.intp)
     permutation, _, _ = scipy.linalg.lu(square, p_indices=True)
@@ -170,7 +170,7 @@ def _elimination_order(square: Matrix) -> Indices:
 
 
 def _distance_bound(problem: JointQP, z: Vector, lam: Vector, gap: float) -> float:
-    """Bound max_i |z_i − z*_i| from the duality gap and the gradient residual r."""
+    """Bound the distance max_i |z_i − z*_i| to the optimum by duality gap and gradient residual."""
     P, C = problem.P, problem.C
     r = P @ z + problem.q + lam @ C
     terms = np.abs(P) @ np.abs(z) + np.abs(problem.q) + np.abs(lam) @ np.abs(C)
@@ -189,7 +189,7 @@ HALVES = 6
 
 
 def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
-    """Return whether the answer in the work array follows small shifts of limits and cost."""
+    """Return whether tiny shifts of limits and cost change the QP's answer by more than allowed."""
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]
     before = vectors.copy(), factor.copy()
@@ -221,7 +221,7 @@ def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
 
 
 def error_units(qp: QuadraticProgram) -> Vector:
-    """Return the unit of each variable's error (n,): half its bound range, at least 1."""
+    """Return the unit for each variable's error: half its bound range, at least 1."""
     half = 0.5 * (qp.ub - qp.lb)
     return np.where(np.isfinite(half), np.maximum(half, 1.0), 1.0)
 
@@ -229,7 +229,7 @@ def error_units(qp: QuadraticProgram) -> Vector:
 def _read_or_solve_answer(
     S: Matrix, qp: QuadraticProgram, columns: Indices, ending: int, start: Vector
 ) -> Vector:
-    """Return z for the moved problem in S, solved carefully if undecided; NaN if none."""
+    """Return the answer of a QP with shifted limits, solved again if undecided; NaN if none."""
     if ending >= 0 or ending == layout.DOUBTFUL:
         return S[layout.Z, : qp.n]
     if ending == layout.UNDECIDED:
@@ -242,7 +242,7 @@ def _read_or_solve_answer(
 
 
 def _limit_shifts(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
-    """Return how far to move each row's limits, (N,); None if narrow rows are in doubt.
+    """Return how far to shift each row's limits to test an answer; None if rows are in doubt.
 
     In doubt: those that cannot be moved as far and are violated or dependent on one another. A row
     does not cross itself; one with equal limits stays (`proof.has_consistent_equalities`).
@@ -262,7 +262,7 @@ def _limit_shifts(posed: JointQP, z: Vector, unit: Vector) -> Vector | None:
 
 
 def _worst_cost_shift(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -> Vector:
-    """Return the bounded change of q that moves the unconstrained optimum most."""
+    """Return the shift of q, within rounding and residual, that moves the optimum most."""
     terms = np.abs(posed.q) + np.abs(posed.P) @ np.abs(z) + np.abs(lam) @ np.abs(posed.C)
     r = posed.q + posed.P @ z + lam @ posed.C
     size = MOVED * np.maximum(EPSILON * terms, np.abs(r))
@@ -271,7 +271,7 @@ def _worst_cost_shift(posed: JointQP, z: Vector, lam: Vector, inverse: Matrix) -
 
 
 def _list_shift_signs(posed: JointQP, z: Vector) -> list[Vector]:
-    """List sign vectors (N,): −1 tightens a row, +1 widens it; all rows, then halves."""
+    """List which rows to tighten (−1) or widen (+1) in each test: all rows, then halves of them."""
     value = posed.C @ z
     nearest = np.argsort(np.minimum(posed.U - value, value - posed.L), kind="stable")
     place = np.empty_like(nearest)

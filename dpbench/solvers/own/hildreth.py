@@ -104,7 +104,7 @@ def shift_multipliers(S: Matrix, width: int) -> None:
 
 @compiled
 def compute_all_row_values(S: Matrix, H: int, width: int) -> None:
-    """Compute v = v₀ − H λ for all rows."""
+    """Compute all row values C z from the multipliers and the unconstrained optimum."""
     for i in range(width):
         S[V, i] = S[V0, i]
     for r in range(width):
@@ -116,7 +116,7 @@ def compute_all_row_values(S: Matrix, H: int, width: int) -> None:
 
 @compiled
 def sweep_multipliers(S: Matrix, H: int, width: int) -> tuple[float, float]:
-    """Update every multiplier once; return ‖Δλ‖² and the largest move of a row."""
+    """Update each multiplier once; return the squared change and the largest row value change."""
     change, moved = 0.0, 0.0
     for i in range(width):
         S[BEFORE, i] = S[LAM, i]
@@ -139,7 +139,7 @@ def sweep_multipliers(S: Matrix, H: int, width: int) -> tuple[float, float]:
 
 @compiled
 def has_impossible_zero_row(S: Matrix, H: int, width: int) -> bool:
-    """Return whether limits of a zero row exclude 0; write the proof into λ."""
+    """Return whether a row of zeros has limits that exclude 0; store the proof as multipliers."""
     for i in range(width):
         if S[H + i, i] <= 0.0 and (S[LOW, i] > 0.0 or S[HIGH, i] < 0.0):
             for k in range(width):
@@ -151,7 +151,7 @@ def has_impossible_zero_row(S: Matrix, H: int, width: int) -> bool:
 
 @compiled
 def run_sweeps(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
-    """Sweep until the multipliers converge; return the number of sweeps or a negative ending."""
+    """Run Hildreth's method to convergence; return the number of sweeps or a failure code < 0."""
     n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, _, H, _, _, _ = starts(n, width)
     shift_multipliers(S, width)
@@ -175,7 +175,7 @@ def run_sweeps(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> i
 
 
 def _compile_entry_point(version: int) -> Callable[..., Any]:
-    """Compile the function that Python calls for one solve, with its checksum."""
+    """Compile Hildreth's method as Python calls it, with a checksum of its code for the cache."""
 
     @njit("i8(f8[:, ::1], i8, f8, f8)", cache=True, fastmath=REORDER, error_model="numpy")
     def hildreth_step(S, max_iter, eps_change, eps_row):  # type: ignore[no-untyped-def] # Numba gives the types
@@ -209,7 +209,7 @@ class HildrethSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> HildrethSettings:
-        """Make settings from the solver's options; SettingsError unless all are positive."""
+        """Make stopping criteria from solver options; SettingsError unless all are positive."""
         for key, value in options.items():
             integer = key == "max_iter"
             if isinstance(value, bool) or not isinstance(value, int if integer else (int, float)):
@@ -221,7 +221,7 @@ class HildrethSettings:
 
 
 class HildrethWorkspace(CompiledWorkspace):
-    """Hildreth's dual coordinate method; `warm` keeps the multipliers between steps."""
+    """Hildreth's dual method as QP solver; `warm` keeps the multipliers between steps."""
 
     def __init__(
         self, solver: str, route: Route, policy: Policy, settings: HildrethSettings
@@ -230,7 +230,7 @@ class HildrethWorkspace(CompiledWorkspace):
         self._settings = settings
 
     def solve(self) -> None:
-        """Sweep until the stopping criteria are met or the sweeps are used up."""
+        """Run Hildreth's method until it converges or reaches the limit of sweeps."""
         if self._refusal or self._S is None:
             return self._refuse_to_solve()
         s = self._settings

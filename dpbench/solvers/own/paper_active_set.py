@@ -39,10 +39,10 @@ given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
 
 
 class PaperActiveSetWorkspace(CompiledWorkspace):
-    """The paper's active-set method, compiled; `warm` keeps the active set between steps."""
+    """The paper's active-set QP solver, compiled; `warm` keeps the active set between steps."""
 
     def solve(self) -> None:
-        """Solve the current problem, usually in one compiled call."""
+        """Solve the current QP by the compiled active-set method; verify unclear results."""
         if self._refusal or self._S is None:
             return self._refuse_to_solve()
         self._ending = ending = solve_step(self._S)
@@ -51,7 +51,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         return None
 
     def _resolve_unclear_ending(self, ending: int) -> None:
-        """Verify a claimed infeasibility, or solve again by the careful method."""
+        """Verify a claim of infeasibility, or solve again by a more exact active-set method."""
         assert self._S is not None
         self._ending = layout.UNDECIDED
         if ending == layout.INFEASIBLE and self._has_infeasibility_proof():
@@ -77,7 +77,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         return True
 
     def _grade_by_optimality(self, qp: QuadraticProgram, answer: Solution) -> None:
-        """Grade an answer as solved, inaccurate or failed by its residuals."""
+        """Grade an answer as solved, inaccurate or failed by its optimality residuals."""
         assert self._S is not None
         self._z[:], self._y[:], self._y_box[:] = answer.z, answer.y, answer.y_box
         excess = optimality_excess(self._S)
@@ -101,7 +101,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
             self._ending = iterations
 
     def _reason_to_doubt(self, qp: QuadraticProgram) -> str:
-        """Return why the answer may be far from the optimum; "" if it is near."""
+        """Return why the answer may be far from the optimum, as text; "" if it is near."""
         assert self._S is not None
         if not has_consistent_equalities(qp):
             return "rows with equal limits depend on one another but for rounding"
@@ -116,7 +116,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
 
 
 def _check_infeasibility_claim(qp: QuadraticProgram, answer: Solution) -> Solution:
-    """Verify the Farkas ray of an infeasible answer; withdraw the claim otherwise."""
+    """Return an infeasible answer if its Farkas ray is a proof, else NUMERICAL_ERROR."""
     if answer.status is not INFEASIBLE:
         return answer
     y, y_box = answer.y.copy(), answer.y_box.copy()

@@ -14,7 +14,7 @@ __all__ = ["hildreth"]
 
 
 def _load_kernels() -> None:
-    """Solve a QP of one variable, so that the kernels are compiled or loaded."""
+    """Solve a QP of one variable so that the compiled functions of the solvers are loaded."""
     one = np.ones(1)
     workspace = PaperActiveSetWorkspace("paper_active_set", "native", "reuse")
     workspace.setup(QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one))

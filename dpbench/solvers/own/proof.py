@@ -42,7 +42,7 @@ variable has no bound to absorb what does not cancel."""
 
 
 def proves_infeasible(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Return whether (y, y_box) proves `qp` infeasible, up to rounding."""
+    """Return whether a Farkas ray (y, y_box) proves a QP infeasible, up to rounding."""
     return bool(is_infeasibility_proof(qp.A, qp.l, qp.u, qp.lb, qp.ub, y, y_box))
 
 
@@ -60,7 +60,7 @@ def drop_ray_rounding(y, y_box):  # type: ignore[no-untyped-def] # compiled by n
 
 @njit("UniTuple(f8, 2)(f8[:], f8[:], f8[:])", cache=True)
 def _largest_sum_along_ray(ray, low, high):  # type: ignore[no-untyped-def] # compiled by numba
-    """Return Σ ray·limit, the largest value the limits allow, and Σ |terms|."""
+    """Return the largest Σ ray·value that the limits allow, and the sum of its |terms|."""
     reach, size = 0.0, 0.0
     for i in range(len(ray)):
         if ray[i] != 0.0:
@@ -71,7 +71,7 @@ def _largest_sum_along_ray(ray, low, high):  # type: ignore[no-untyped-def] # co
 
 @njit("b1(f8[:, :], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])", cache=True, error_model="numpy")
 def is_infeasibility_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
-    """Return whether (y, y_box) proves the limits infeasible, up to rounding.
+    """Return whether a Farkas ray (y, y_box) proves limits of rows and bounds contradictory.
 
     Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the
     limits allow the sum of y(Az) + y_box z to reach is negative by more than `PROVEN` of its terms,
@@ -105,7 +105,7 @@ LONG_ROUNDS = 4
 
 
 def has_consistent_equalities(qp: QuadraticProgram) -> bool:
-    """Return whether equality rows of [A; I] are independent or exactly redundant.
+    """Return whether equality rows, bounds included, are independent or exactly redundant.
 
     Where long double is no longer than double, rows redundant to rounding count as exactly so.
     """
@@ -122,7 +122,7 @@ def has_consistent_equalities(qp: QuadraticProgram) -> bool:
 
 
 def has_independent_rows(rows: Matrix, share: float) -> bool:
-    """Return whether no row depends on others but for `share` of its length."""
+    """Return whether each row is farther than `share` of its length from the span of others."""
     rows = rows[rows.any(axis=1)]
     if len(rows) > rows.shape[1]:
         return False
@@ -131,7 +131,7 @@ def has_independent_rows(rows: Matrix, share: float) -> bool:
 
 
 def _has_only_redundant_rows(basis: Matrix, rest: Matrix) -> bool:
-    """Return whether each row of `rest` is an exact combination of `basis` rows."""
+    """Return whether each row of `rest`, limit included, exactly combines `basis` rows."""
     Q, R = np.linalg.qr(basis[:, :-1].T)
     exact, target = basis.astype(np.longdouble), rest.astype(np.longdouble)
     r = np.zeros((len(rest), len(basis)), dtype=np.longdouble)
@@ -155,7 +155,7 @@ ROUNDS = 5
 def solve_carefully(
     qp: QuadraticProgram, *, start: Vector | None = None, contradiction: float = CONTRADICTION
 ) -> Solution:
-    """Solve a strictly convex QP by the active-set method on an orthogonal factorisation.
+    """Solve a strictly convex QP by an accurate, slower active-set method: orthogonal factors.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def solve_carefully(
 
 @dataclass(eq=False)
 class _ProjectedProblem:
-    """A QP with its rows M = [A; I] and limits, and the projection that solves it."""
+    """A QP with bounds stacked as rows [A; I], and its factorisation for an active-set method."""
 
     qp: QuadraticProgram
     M: Matrix
@@ -182,7 +182,7 @@ class _ProjectedProblem:
     projection: Projection
 
     def solve(self, start: Vector | None, contradiction: float) -> Solution:
-        """Solve by the active-set method and refine the answer on the final set."""
+        """Solve the QP by an active-set method and refine the answer on the final active set."""
         n, m = self.qp.n, self.qp.m
         outcome = self.projection.solve(
             self.qp.q, self.lower, self.upper, start=start, contradiction=contradiction
@@ -197,7 +197,7 @@ class _ProjectedProblem:
         return Solution(status, z, lam[:m], lam[m:], outcome.iterations, detail=detail)
 
     def _refine_solution(self, outcome: Outcome, lam: Vector) -> tuple[Vector, Vector]:
-        """Refine (z, λ) on the final active set; drop wrong-signed rounding."""
+        """Refine z and multipliers on the final active set; drop rows with wrong signs."""
         W, side = outcome.active, outcome.side
         inequality = self.lower < self.upper
         L = self.projection.L
@@ -213,7 +213,7 @@ class _ProjectedProblem:
     def _refine_on_set(
         self, W: Indices, side: Vector, z: Vector, lam: Vector
     ) -> tuple[Vector, Vector]:
-        """Refine (z, λ) on active rows W, residuals in long double."""
+        """Refine z and multipliers on given active rows, with residuals in extended precision."""
         L, M, qp = self.projection.L, self.M.astype(np.longdouble), self.qp
         P, q = qp.P.astype(np.longdouble), qp.q.astype(np.longdouble)
         J_W = self.projection.J[:, W] / self.projection.scale[W]

@@ -15,7 +15,7 @@ from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missi
 
 
 class UnconstrainedWorkspace(Workspace):
-    """The law z = −P⁻¹q (eq. 27), with the Cholesky factor of P kept from step to step."""
+    """The unconstrained optimum z = −P⁻¹q as a solver; P's Cholesky factor is kept over steps."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
@@ -34,7 +34,7 @@ class UnconstrainedWorkspace(Workspace):
             self._factor = None
 
     def update(self, step: QPStep) -> None:
-        """Take over q; factorise again if matrices changed."""
+        """Take over the linear cost q; factorise P again if matrices changed."""
         if self._base is None:
             raise missing_setup_error("update")
         check_step(step, self._base.n, self._base.m)
@@ -46,12 +46,12 @@ class UnconstrainedWorkspace(Workspace):
             self.setup(self._base.at(step))
 
     def solve(self) -> None:
-        """Compute z = −P⁻¹q by two triangular solves."""
+        """Compute the unconstrained optimum z = −P⁻¹q by two triangular solves."""
         if self._factor is not None:
             self._z = scipy.linalg.cho_solve((self._factor, True), -self._q, check_finite=False)
 
     def read(self) -> Solution:
-        """Return the unconstrained optimum as UNKNOWN, with zero multipliers."""
+        """Return the unconstrained optimum with zero multipliers and status UNKNOWN."""
         if self._base is None:
             raise missing_setup_error("read")
         n, m = self._base.n, self._base.m

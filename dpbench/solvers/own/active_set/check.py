@@ -89,7 +89,7 @@ def largest_magnitude(S: Matrix, row: int, n: int) -> float:
 
 @compiled
 def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
-    """Return the largest ratio of violation or complementarity of a row to what is allowed.
+    """Return the largest row violation or complementarity error, as a ratio to its tolerance.
 
     The inactive row that does so most by its violation is left in `WORST`, −1 if there is none.
     """
@@ -119,7 +119,7 @@ def excess_of_rows(S: Matrix, P: int, n: int, width: int) -> float:
 
 @compiled
 def gradient_entry(S: Matrix, P: int, i: int, n: int, width: int) -> tuple[float, float]:
-    """Return entry i of r = P z + q + Cᵀλ, and the sum of its absolute terms."""
+    """Return entry i of the Lagrangian's gradient P z + q + Cᵀλ, and the sum of absolute terms."""
     r, terms = S[Q, i] + S[LAM, i], abs(S[LAM, i])
     for k in range(n):
         a = S[P + i, k] * S[Z, k]
@@ -132,7 +132,7 @@ def gradient_entry(S: Matrix, P: int, i: int, n: int, width: int) -> tuple[float
 
 @compiled
 def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
-    """Return the largest ratio of an entry of r to what is allowed."""
+    """Return the largest entry of the gradient P z + q + Cᵀλ, as a ratio to its tolerance."""
     size, cost, most = largest_magnitude(S, Z, n), largest_magnitude(S, Q, n), 0.0
     for i in range(n):
         r, terms = gradient_entry(S, P, i, n, width)
@@ -148,7 +148,7 @@ def excess_of_gradient(S: Matrix, P: int, n: int, width: int) -> float:
 
 @compiled
 def is_near_optimum(S: Matrix, P: int, H: int, n: int, width: int) -> bool:
-    """Return whether the gradient residual r proves z near the optimum of its active rows.
+    """Return whether the residual r = P z + q + Cᵀλ proves z near the optimum on the active rows.
 
     With r and its rounding, |z_i − z*_i| ≤ √((P⁻¹)_ii · |r|ᵀ|P⁻¹||r|).
     """
@@ -166,7 +166,7 @@ def is_near_optimum(S: Matrix, P: int, H: int, n: int, width: int) -> bool:
 
 @compiled
 def largest_excess(S: Matrix, P: int, n: int, width: int) -> float:
-    """Return the largest ratio of an optimality residual to what is allowed; optimal up to 1."""
+    """Return the largest ratio of an optimality residual to its tolerance; optimal up to 1."""
     gradient = excess_of_gradient(S, P, n, width)
     return max(gradient, excess_of_rows(S, P, n, width)) if gradient < inf else inf
 
@@ -181,7 +181,7 @@ NEAR = 10.0
 
 @compiled
 def _row_times_z(S: Matrix, A: int, i: int, n: int) -> float:
-    """Return the product of row i of C = [I; A] and the answer z."""
+    """Return the value of constraint row i of [I; A] at the answer z."""
     if i < n:
         return float(S[Z, i])
     s, r = 0.0, A + i - n
@@ -192,7 +192,7 @@ def _row_times_z(S: Matrix, A: int, i: int, n: int) -> float:
 
 @compiled
 def _add_multiple_of_row(S: Matrix, A: int, i: int, n: int, a: float) -> None:
-    """Add a times row i of C = [I; A] to the work row X."""
+    """Add a times row i of the constraint matrix [I; A] to a vector of the work array."""
     if i < n:
         S[X, i] += a
         return
@@ -203,7 +203,7 @@ def _add_multiple_of_row(S: Matrix, A: int, i: int, n: int, a: float) -> None:
 
 @compiled
 def refine_answer(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
-    """Refine Z and λ_W by one round; return the squared correction in the norm of P."""
+    """Refine z and active multipliers once by residuals; return the squared change in P's norm."""
     n, w = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK
     for i in range(n):
         S[Z, i], S[X, i], S[E, i] = S[V, i], S[Q, i], 0.0
@@ -238,7 +238,7 @@ def refine_answer(S: Matrix, K: int, P: int, H: int, A: int, L: int) -> float:
 
 @compiled
 def correct_wrong_signs(S: Matrix, L: int, rounding: float) -> int:
-    """Zero wrong-signed multipliers that are rounding, drop other rows; return how many."""
+    """Zero wrong-signed multipliers within rounding, drop others' rows; return how many drop."""
     dropped = 0
     for k in range((int(S[HEAD, COUNT]) & MASK) - 1, -1, -1):
         i = int(S[ACTIVE, k]) & MASK
@@ -253,14 +253,14 @@ def correct_wrong_signs(S: Matrix, L: int, rounding: float) -> int:
 
 @compiled
 def is_refinement_settled(correction: float, before: float, size: float) -> bool:
-    """Return whether the next correction would be below rounding; corrections are squared."""
+    """Predict from two squared corrections whether the next one would be below rounding."""
     following = correction * min(1.0, correction / before)
     return bool(following <= SETTLED * SETTLED * size * size)
 
 
 @compiled
 def is_clearly_optimal(S: Matrix, P: int, coarse: float, size: float, correction: float) -> bool:
-    """Return whether the refined answer is optimal without a full check of every row.
+    """Return whether the refined answer is certainly optimal, without a check of all rows.
 
     What is left of it is no error of a row or of the gradient, and no row is violated by what v₀
     may be in error by where it is far longer than v.

@@ -37,7 +37,7 @@ def _allocate_aligned(rows: int, columns: int) -> Matrix:
 
 
 def new_problem_array(n: int, m: int) -> Matrix:
-    """Allocate the work array S of the compiled method for n variables and m rows."""
+    """Allocate the work array of dpbench's compiled solvers, for n variables and m rows."""
     n_pad, m_pad = _pad_length(n), _pad_length(m)
     width = n_pad + m_pad
     L = layout.block_starts(n_pad, width)[-1]
@@ -49,7 +49,7 @@ def new_problem_array(n: int, m: int) -> Matrix:
 
 
 def write_problem(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
-    """Write `qp` and its factors into the work array; return "" or why it cannot be solved.
+    """Write `qp` and factors of P into the work array; return "" or why it cannot be solved.
 
     Parameters
     ----------
@@ -91,14 +91,14 @@ def write_problem(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
 
 
 def _block_views(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
-    """Return K, [P Aᵀ], H, Jᵀ and A as views of the work array."""
+    """Return five matrices in the work array as views: −P⁻¹Cᵀ, [P Aᵀ], C P⁻¹Cᵀ, its factor, A."""
     width = S.shape[1] - layout.TAIL
     firsts = layout.block_starts(n_pad, width)
     return tuple(S[first:end, :width] for first, end in itertools.pairwise(firsts))
 
 
 def _inverse_row_lengths(H: Matrix, n: int, rows: slice) -> Vector:
-    """Return 1 / length of each row in the norm of P⁻¹; 1 for zero rows, 0 for padding."""
+    """Return 1 / P⁻¹-norm of each constraint row; 1 for zero rows, 0 for padding."""
     length = np.sqrt(H.diagonal())
     unit = np.ones(length.size)
     np.divide(1.0, length, out=unit, where=length > layout.ZERO_ROW)
@@ -108,19 +108,19 @@ def _inverse_row_lengths(H: Matrix, n: int, rows: slice) -> Vector:
 
 
 def result_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """Return z, y and y_box as views of the work array."""
+    """Return the answer z and multipliers y, y_box as views of the solver's work array."""
     n_pad = _pad_length(n)
     return S[layout.Z, :n], S[layout.LAM, n_pad : n_pad + m], S[layout.LAM, :n]
 
 
 def vector_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """Return q, l and u as views of the work array."""
+    """Return linear cost q and row limits l, u as views of the solver's work array."""
     n_pad = _pad_length(n)
     rows = slice(n_pad, n_pad + m)
     return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]
 
 
 def constraint_views(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
-    """Return A (m, n), l, u, lb and ub as views of the work array."""
+    """Return A (m, n), row limits l, u and bounds lb, ub as views of the solver's work array."""
     A = _block_views(S, _pad_length(n))[-1][:m, :n]
     return A, *vector_views(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]

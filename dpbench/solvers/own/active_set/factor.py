@@ -78,7 +78,7 @@ from the rows themselves, because the factor has lost six digits of it."""
 
 @compiled
 def substitute_forward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve L x = b in place, b being a row of the work array S."""
+    """Solve L x = b in place, L a lower triangle and b a row of the solver's work array."""
     for i in range(w):
         s = S[b, i]
         for k in range(i):
@@ -88,7 +88,7 @@ def substitute_forward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def substitute_backward(S: Matrix, L: int, w: int, b: int) -> None:
-    """Solve Lᵀ x = b in place, b being a row of the work array S."""
+    """Solve Lᵀ x = b in place, L a lower triangle and b a row of the solver's work array."""
     for i in range(w - 1, -1, -1):
         x = S[b, i] * S[INVERSE, i]
         S[b, i] = x
@@ -98,20 +98,20 @@ def substitute_backward(S: Matrix, L: int, w: int, b: int) -> None:
 
 @compiled
 def active_limit(S: Matrix, i: int) -> float:
-    """Return the limit at which row i is active."""
+    """Return the lower or upper limit at which active row i is held."""
     g: float = S[HIGH, i] if S[SIDE, i] > 0.0 else S[LOW, i]
     return g
 
 
 @compiled
 def has_wrong_sign(S: Matrix, i: int, lam: float) -> bool:
-    """Return whether the sign of λ contradicts the limit at which row i is active."""
+    """Return whether the sign of a multiplier contradicts the limit at which row i is active."""
     return bool((lam * S[SIDE, i] < 0.0) & (S[LOW, i] < S[HIGH, i]))
 
 
 @compiled
 def append_active_row(S: Matrix, L: int, w: int, i: int, side: float, pivot: float) -> int:
-    """Make row i active; its row of the factor is in place except for the diagonal."""
+    """Add row i to the active set; complete its Cholesky factor row by the diagonal entry."""
     d = sqrt(pivot)
     S[L + w, w], S[INVERSE, w] = d, 1.0 / d
     S[ACTIVE, w], S[SIDE, i] = i, side
@@ -121,7 +121,7 @@ def append_active_row(S: Matrix, L: int, w: int, i: int, side: float, pivot: flo
 
 @compiled
 def drop_active_row(S: Matrix, L: int, k: int, w: int) -> None:
-    """Make the k-th active row inactive and update the factor by plane rotations."""
+    """Drop the k-th active row; update the active set's Cholesky factor by plane rotations."""
     i = int(S[ACTIVE, k]) & MASK
     S[SIDE, i] = S[LAM, i] = 0.0
     for r in range(k, w - 1):
@@ -142,7 +142,7 @@ def drop_active_row(S: Matrix, L: int, k: int, w: int) -> None:
 
 @compiled
 def refine_distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
-    """Return the squared distance of row j from the active rows; refine r and the factor row."""
+    """Return row j's squared distance from the span of active rows, refined once."""
     for again in range(2):
         for i in range(n):
             S[X, i] = S[J + j, i]
@@ -170,7 +170,7 @@ def refine_distance(S: Matrix, L: int, J: int, j: int, n: int, w: int) -> float:
 
 @compiled
 def solve_direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -> float:
-    """Write r = H_WW⁻¹ H_Wj; return the squared distance of row j from the active rows."""
+    """Write row j as a combination of active rows; return its squared distance from their span."""
     for k in range(w):
         S[STEP, k] = S[H + j, int(S[ACTIVE, k]) & MASK]
     substitute_forward(S, L, w, STEP)
@@ -186,7 +186,7 @@ def solve_direction(S: Matrix, L: int, H: int, J: int, j: int, n: int, w: int) -
 
 @compiled
 def solve_active(S: Matrix, L: int, w: int) -> bool:
-    """Compute λ_W of the active set (eq. 31); return False if a limit is infinite."""
+    """Compute the multipliers that hold active rows at their limits; False if one is infinite."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         g = active_limit(S, i)
@@ -206,7 +206,7 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 
 @inlined
 def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
-    """Add sign · H_:W λ_W, a sum over active rows, to a row of the work array S."""
+    """Add or subtract C P⁻¹Cᵀ λ, summed over active rows, to or from a vector of row values."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
         add_scaled_row(S, out, sign * S[LAM, i], H + i, ALL)
@@ -214,7 +214,7 @@ def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
 
 @compiled
 def compute_values_on_set(S: Matrix, H: int) -> None:
-    """Compute v = C z for the optimum on the active set (eq. 32)."""
+    """Compute all row values v = C z at the optimum with the active rows held at their limits."""
     w = int(S[HEAD, COUNT]) & MASK
     for i in range(row_width(S)):
         S[V, i] = S[V0, i]
@@ -226,7 +226,7 @@ def compute_values_on_set(S: Matrix, H: int) -> None:
 
 @compiled
 def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
-    """Write C z, from the problem's own rows, into a row of S."""
+    """Write the values C z of all constraint rows [I; A] into a row of the work array."""
     for i in range(n):
         S[out, i] = S[Z, i]
     for i in range(n, row_width(S)):
@@ -236,7 +236,7 @@ def multiply_by_rows(S: Matrix, out: int, P: int, n: int) -> None:
 
 @compiled
 def recompute_values(S: Matrix, P: int, H: int) -> None:
-    """Recompute v = C z from Z and the problem's own rows, and v₀ from v."""
+    """Recompute row values C z from z, and from them those of the unconstrained optimum."""
     multiply_by_rows(S, V, P, int(S[HEAD, N_PAD]) & MASK)
     for i in range(row_width(S)):
         S[V0, i] = S[V, i]
@@ -245,7 +245,7 @@ def recompute_values(S: Matrix, P: int, H: int) -> None:
 
 @compiled
 def row_violation(S: Matrix, i: int, noise: float) -> float:
-    """Return the violation of row i in the norm of P⁻¹; 0 if it is within rounding."""
+    """Return how far row i violates its limits, over the row's length; 0 if within rounding."""
     over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
     e = over if over >= under else under
     if not e > 0.0:
@@ -257,7 +257,7 @@ def row_violation(S: Matrix, i: int, noise: float) -> float:
 
 @compiled
 def find_most_violated(S: Matrix, noise: float) -> int:
-    """Return the inactive row with the largest violation in the norm of P⁻¹; −1 if none."""
+    """Return the inactive row that violates its limits most for its length; −1 if none."""
     excess, width = 0.0, row_width(S)
     for i in range(width):
         over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
@@ -275,7 +275,7 @@ def find_most_violated(S: Matrix, noise: float) -> int:
 
 @compiled
 def list_candidates(S: Matrix, j: int, noise: float) -> None:
-    """List inactive rows violated by at least 30 % of the most violated row j."""
+    """List inactive rows whose violation is at least 30 % of that of row j, the most violated."""
     least, count = SHARE * row_violation(S, j, noise), 0
     for i in range(row_width(S)):
         if count < MOST_CANDIDATES and i != j and S[SIDE, i] == 0.0:
@@ -288,7 +288,7 @@ def list_candidates(S: Matrix, j: int, noise: float) -> None:
 
 @compiled
 def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
-    """Return the most violated candidate row, −1 if none; unlist satisfied ones."""
+    """Return the most violated row of the candidate list, −1 if none; unlist satisfied ones."""
     count, w = int(S[CHECK, CANDIDATES]) & MASK, int(S[HEAD, COUNT]) & MASK
     most, worst, left = 0.0, -1, 0
     for c in range(count):
@@ -312,7 +312,7 @@ def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
 
 @inlined
 def choose_next_row(S: Matrix, H: int, noise: float) -> int:
-    """Return the next row to activate: a candidate, else the most violated of all; −1 if none."""
+    """Return the next violated row to activate, from a short list while it lasts; −1 if none."""
     many = row_width(S) > NARROW
     j = find_worst_candidate(S, H, noise) if many else -1
     if j < 0:
@@ -329,7 +329,7 @@ MANY = 8
 
 @compiled
 def list_changed_rows(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
-    """List changed rows of A; return their number and entries, −1 if not finite."""
+    """List rows of A that differ in `new`; return how many and their nonzeros, −1 if not finite."""
     n, m = int(S[HEAD, N]), int(S[HEAD, M])
     count, entries, largest = 0, 0, 1.0
     for i in range(m):
@@ -354,7 +354,7 @@ def list_changed_rows(S: Matrix, A: int, new: Matrix) -> tuple[int, int]:
 def gather_changed_entries(
     S: Matrix, A: int, new: Matrix, count: int, row: Ints, share: Vector
 ) -> Ints:
-    """Write column and value of each nonzero of changed rows; return where rows begin."""
+    """Write the nonzeros of changed rows of A as column and value; return where each row begins."""
     n, first = int(S[HEAD, N]), np.empty(count + 1, np.int64)
     first[0] = 0
     for c in range(count):
@@ -369,7 +369,7 @@ def gather_changed_entries(
 
 @compiled
 def write_changed_rows(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bool:
-    """Write changed rows into all copies of A; return whether zeros became nonzero."""
+    """Write changed rows into all copies of A; return whether a zero entry became nonzero."""
     n, n_pad, grown = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, False
     for c in range(count):
         i, terms = int(S[BEFORE, c]) & MASK, 0.0
@@ -387,7 +387,7 @@ def write_changed_rows(S: Matrix, P: int, A: int, new: Matrix, count: int) -> bo
 def write_changed_columns(
     S: Matrix, block: int, rows: int, first: Ints, row: Ints, share: Vector
 ) -> bool:
-    """Write columns of changed rows in K or H; return whether zeros became nonzero."""
+    """Update changed rows' columns in P⁻¹Cᵀ or C P⁻¹Cᵀ; return if zeros became nonzero."""
     n_pad, grown = int(S[HEAD, N_PAD]) & MASK, False
     for r in range(block, block + rows):
         for c in range(len(first) - 1):
@@ -404,7 +404,7 @@ def write_changed_columns(
 def write_dependent_rows(
     S: Matrix, block: int, width: int, first: Ints, row: Ints, share: Vector
 ) -> None:
-    """Compute the rows of H or J that belong to changed rows of A."""
+    """Recompute the rows that changed rows of A have in C P⁻¹Cᵀ or in its factor."""
     n_pad = int(S[HEAD, N_PAD]) & MASK
     for c in range(len(first) - 1):
         r = block + n_pad + (int(S[BEFORE, c]) & MASK)
@@ -418,7 +418,7 @@ def write_dependent_rows(
 
 @compiled
 def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) -> bool:
-    """Write inverse lengths of changed rows; return False if rounding may have cancelled them."""
+    """Write changed rows' inverse P⁻¹-norms; return False if rounding may have cancelled digits."""
     n_pad, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for c in range(len(first) - 1):
         i, terms = n_pad + (int(S[BEFORE, c]) & MASK), 0.0
@@ -438,7 +438,7 @@ def write_row_lengths(S: Matrix, H: int, first: Ints, row: Ints, share: Vector) 
 
 @compiled
 def apply_row_changes(S: Matrix, K: int, P: int, H: int, J: int, A: int, new: Matrix) -> int:
-    """Replace A in the work array; return 1 if nonzeros moved, −1 if P must be factorised."""
+    """Replace A and products with it; return 1 if nonzeros moved, −1 if P must be factorised."""
     n, n_pad, width = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, row_width(S)
     count, entries = list_changed_rows(S, A, new)
     if count <= 0 or entries > MANY * n:

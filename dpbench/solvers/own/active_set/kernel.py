@@ -153,7 +153,7 @@ TINY = 1e-300
 
 @compiled
 def write_farkas_ray(S: Matrix, j: int, side: float, w: int) -> int:
-    """Write the Farkas ray that row j contradicts the active rows into λ."""
+    """Replace the multipliers by a Farkas ray: proof that row j contradicts the active rows."""
     for i in range(row_width(S)):
         S[LAM, i] = 0.0
     for k in range(w):
@@ -164,7 +164,7 @@ def write_farkas_ray(S: Matrix, j: int, side: float, w: int) -> int:
 
 @compiled
 def set_duplicate_aside(S: Matrix, H: int, j: int, lam: float) -> int:
-    """Exclude row j, a copy of active rows; keep the effect of its multiplier in v₀."""
+    """Exclude row j, a combination of active rows; keep its multiplier's effect on row values."""
     S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
     for i in range(row_width(S)):
@@ -174,7 +174,7 @@ def set_duplicate_aside(S: Matrix, H: int, j: int, lam: float) -> int:
 
 @compiled
 def find_blocking_row(S: Matrix, j: int, side: float, w: int, dependent: bool) -> tuple[int, float]:
-    """Return position and step length of the first multiplier to reach zero; (−1, inf) if none."""
+    """Find the active row whose multiplier is first to reach zero as row j's rises; −1 if none."""
     blocking, t_dual = -1, inf
     for k in range(w):
         i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
@@ -188,7 +188,7 @@ def find_blocking_row(S: Matrix, j: int, side: float, w: int, dependent: bool) -
 
 @compiled
 def activate_row(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
-    """Raise the multiplier of row j until the row is active; drop rows that block.
+    """Raise the multiplier of violated row j until it meets its limit; drop rows that block.
 
     A dependent row that nothing blocks is a contradiction, or the active rows written twice; with
     an infinite `size`, before values are refined, it is the former only where that is `GROSS`.
@@ -231,7 +231,7 @@ def activate_row(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
 
 @compiled
 def readmit_row(S: Matrix, H: int, size: float) -> int:
-    """Readmit the excluded duplicate row that is violated most; return it, −1 if none."""
+    """Readmit the excluded dependent row that is violated most; return its number, −1 if none."""
     most, row = 1.0, -1
     for i in range(row_width(S)):
         if S[SIDE, i] == PUT_ASIDE:
@@ -252,7 +252,7 @@ def readmit_row(S: Matrix, H: int, size: float) -> int:
 def activate_violated_rows(
     S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float
 ) -> int:
-    """Activate row j, then other violated rows; return 0, or a negative ending."""
+    """Activate row j, then violated rows until none is left; return 0, or a code < 0 on failure."""
     if j >= 0 and row_width(S) > NARROW:
         list_candidates(S, j, coarse)
     while j >= 0:
@@ -267,7 +267,7 @@ def activate_violated_rows(
 def find_violated_row(
     S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int
 ) -> int:
-    """Return a row that the refined point violates, excluded duplicates last; −1 if none."""
+    """Find a row that the refined answer violates, excluded dependent rows last; −1 if none."""
     recompute_values(S, P, H)
     if dropped > 0:
         restore_dual_feasibility(S, L)
@@ -278,7 +278,7 @@ def find_violated_row(
 
 @compiled
 def accept_or_doubt(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
-    """Return the number of iterations, or `DOUBTFUL` where rounding may decide."""
+    """Return the iterations of an optimal answer, or `DOUBTFUL` where rounding may decide it."""
     if is_degenerate_vertex(S, L, H, J, size):
         return DOUBTFUL
     n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
@@ -288,7 +288,7 @@ def accept_or_doubt(S: Matrix, P: int, H: int, J: int, L: int, size: float, clea
 
 @compiled
 def solve_qp(S: Matrix) -> int:
-    """Solve the QP in the work array; return the number of iterations or a negative ending."""
+    """Solve the QP in the work array; return the number of iterations, or a failure code < 0."""
     n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, P, H, J, A, L = starts(n, width)
     size = compute_unconstrained_values(S, K)
@@ -323,7 +323,7 @@ def solve_qp(S: Matrix) -> int:
 
 
 def _compile_entry_points(version: int) -> tuple[Callable[..., Any], ...]:
-    """Compile the functions that Python calls, for fixed types, cached on disk."""
+    """Compile the active-set functions that Python calls, for fixed types, cached on disk."""
 
     @njit("i8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def solve_step(S):  # type: ignore[no-untyped-def] # compiled by numba

@@ -80,7 +80,7 @@ REORDER = {"reassoc", "contract", "nsz"}
 
 
 def compiled(function: F) -> F:
-    """Compile a function with Numba for calls from other compiled functions."""
+    """Compile a function with Numba, to be called from other compiled functions."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
@@ -90,7 +90,7 @@ def inlined(function: F) -> F:
 
 
 def block_starts(n_pad: int, width: int) -> tuple[int, int, int, int, int, int]:
-    """Return the first rows of the blocks K, P, H, J, A and L in the work array."""
+    """Return the first row of each of the six matrices that the solver's work array holds."""
     K = VECTORS
     P = K + n_pad
     H = P + n_pad
@@ -105,13 +105,13 @@ starts = compiled(block_starts)
 
 @compiled
 def row_width(S: Matrix) -> int:
-    """Return the number of columns for rows of C = [I; A], padding included."""
+    """Return the number of columns for constraint rows in the work array, padding included."""
     width: int = (S.shape[1] - TAIL) & MASK
     return width
 
 
 def code_checksum(function: Callable[..., object]) -> int:
-    """Return a checksum of the code and constants of all compiled functions that it calls."""
+    """Return a checksum of a function and all compiled functions that it calls: code, constants."""
     # Numba's cache looks at the file of the function it holds, not at what that function calls; a
     # checksum in its closure makes it look at both. What else has been imported is not in it:
     # another order of imports would compile all again.
@@ -150,7 +150,7 @@ BOUNDS, ROWS, ALL = 0, 1, 2
 
 @compiled
 def mark_row_spans(S: Matrix, first: int, end: int, step: int, n: int) -> None:
-    """Write where work array rows `first` to `end` are not zero, `step` rows together."""
+    """Store which column ranges of work array rows are not zero, for products that skip zeros."""
     width = row_width(S)
     for r in range(first, end, step):
         count = 0
@@ -171,7 +171,7 @@ def mark_row_spans(S: Matrix, first: int, end: int, step: int, n: int) -> None:
 
 @compiled
 def mark_all_spans(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
-    """Write where the rows of K, [P Aᵀ] and H are not zero."""
+    """Store which column ranges of −P⁻¹Cᵀ, [P Aᵀ] and C P⁻¹Cᵀ are not zero, to skip zeros."""
     mark_row_spans(S, K, P, GROUP, n)
     mark_row_spans(S, P, H, GROUP, n)
     mark_row_spans(S, H, J, 1, n)
@@ -179,7 +179,7 @@ def mark_all_spans(S: Matrix, K: int, P: int, H: int, J: int, n: int) -> None:
 
 @compiled
 def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
-    """Return whether any of several rows has a nonzero in the vector at a column."""
+    """Return whether rows have a nonzero in the eight columns from `column` on."""
     for r in range(first, end):
         for c in range(column, column + LANES):
             if S[r, c] != 0.0:
@@ -189,7 +189,7 @@ def has_nonzero_entry(S: Matrix, first: int, end: int, column: int) -> bool:
 
 @compiled
 def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
-    """Return the columns that hold the nonzero spans of a part of work array row r."""
+    """Return in which columns a row's nonzero ranges are stored, for bounds, rows of A or both."""
     first = int(S[r, width]) if part == ROWS else 0
     end = int(S[r, width]) if part == BOUNDS else int(S[r, width + 1])
     return (width + 2 + 2 * first) & MASK, (width + 2 + 2 * end) & MASK
@@ -197,7 +197,7 @@ def part_spans(S: Matrix, r: int, width: int, part: int) -> tuple[int, int]:
 
 @compiled
 def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> None:
-    """Add Σ_j S[by, j] · S[first + j], over n rows of K or [P Aᵀ], to a row of S."""
+    """Add a matrix-vector product, zeros skipped, to a row of the work array."""
     width = row_width(S)
     for j in range(0, n, GROUP):
         a, b, c, d = S[by, j], S[by, j + 1], S[by, j + 2], S[by, j + 3]
@@ -215,7 +215,7 @@ def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> 
 
 @inlined
 def add_scaled_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
-    """Add a times row r of H to a row of S, on a part of the columns."""
+    """Add a times row r of C P⁻¹Cᵀ to a row of the work array, for bounds, rows of A or both."""
     width = row_width(S)
     if width <= NARROW:
         n = int(S[HEAD, N_PAD]) & MASK

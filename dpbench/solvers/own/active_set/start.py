@@ -124,7 +124,7 @@ from dpbench.solvers.own.active_set.layout import (
 
 @compiled
 def norm_of_values(S: Matrix, row: int) -> float:
-    """Return the length of a vector of row values in the norm of P⁻¹."""
+    """Return the 2-norm of constraint row values, each divided by its row's P⁻¹-norm."""
     square = 0.0
     for i in range(row_width(S)):
         v = S[row, i] * S[UNIT, i]
@@ -142,7 +142,7 @@ def clear_active_set(S: Matrix) -> None:
 
 @compiled
 def compute_unconstrained_values(S: Matrix, K: int) -> float:
-    """Compute v₀ = −C P⁻¹q; return its length, or a negative ending for bad data."""
+    """Compute all row values at the unconstrained optimum; return their norm, < 0 for bad data."""
     n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0 or S[HEAD, ASIDE] > 0.0:
         clear_active_set(S)
@@ -161,7 +161,7 @@ def compute_unconstrained_values(S: Matrix, K: int) -> float:
 
 @compiled
 def try_multipliers(S: Matrix, L: int) -> int:
-    """Compute λ_W; return how many have the wrong sign, −1 for an infinite limit."""
+    """Compute the active rows' multipliers; return how many have wrong signs, −1 if impossible."""
     w, wrong = int(S[HEAD, COUNT]) & MASK, 0
     if not solve_active(S, L, w):
         return -1
@@ -202,7 +202,7 @@ def restore_dual_feasibility(S: Matrix, L: int) -> None:
 
 @compiled
 def add_to_start(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> None:
-    """Add row i to the starting active set, unless it is in, unlimited or nearly dependent."""
+    """Add row i to the starting active set, unless in it, without a limit or nearly dependent."""
     w = int(S[HEAD, COUNT]) & MASK
     g = S[HIGH, i] if side > 0.0 else S[LOW, i]
     if S[SIDE, i] != 0.0 or abs(g) == inf or w == int(S[HEAD, N]):
@@ -222,7 +222,7 @@ def add_to_start(S: Matrix, L: int, H: int, i: int, side: float, lam: float) -> 
 
 @compiled
 def empty_active_set(S: Matrix) -> int:
-    """Empty the active set, storing its rows and multipliers; return how many it had."""
+    """Make all rows inactive, keeping a list of their numbers and multipliers; return how many."""
     w = int(S[HEAD, COUNT]) & MASK
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
@@ -234,7 +234,7 @@ def empty_active_set(S: Matrix) -> int:
 
 @compiled
 def refactorise_active_set(S: Matrix, L: int, H: int) -> None:
-    """Factorise the unchanged active set again after H has changed."""
+    """Compute the active set's Cholesky factor anew after rows of A have changed."""
     for k in range(empty_active_set(S)):
         side = 1.0 if S[BEFORE, k] > 0.0 else -1.0
         add_to_start(S, L, H, (int(abs(S[BEFORE, k])) - 1) & MASK, side, S[R, k])
@@ -242,7 +242,7 @@ def refactorise_active_set(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def shift_active_set(S: Matrix, L: int, H: int) -> None:
-    """Shift the active set by one control increment; the last increment keeps its rows."""
+    """Shift the active set one control increment earlier for a warm start; the last is kept."""
     n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     for k in range(empty_active_set(S)):
@@ -268,7 +268,7 @@ def add_equalities_to_start(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def choose_start(S: Matrix, L: int, H: int, noise: float) -> int:
-    """Choose the starting active set and compute its v; return a row it violates, −1 if none."""
+    """Choose the starting active set and solve on it; return the most violated row, −1 if none."""
     add_equalities_to_start(S, L, H)
     if S[HEAD, COUNT] > 0.0:
         wrong = try_multipliers(S, L)
@@ -297,7 +297,7 @@ LARGEST_WHOLE = 2.0**40
 
 @compiled
 def is_degenerate_vertex(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
-    """Return whether rounding may decide which rows near their limits are active."""
+    """Return whether rounding may decide which constraint rows near their limits are active."""
     near, w, width = 0, int(S[HEAD, COUNT]) & MASK, row_width(S)
     for i in range(width):
         u, v = S[UNIT, i], S[V, i]
@@ -318,7 +318,7 @@ def is_degenerate_vertex(S: Matrix, L: int, H: int, J: int, size: float) -> bool
 
 @compiled
 def side_near_limit(S: Matrix, i: int, size: float) -> float:
-    """Return the side at which row i is near its limit: 1, −1, 0 for none, 2 for both."""
+    """Return the limit that row i's value is near: 1 upper, −1 lower, 0 neither, 2 both."""
     u, v = S[UNIT, i], S[V, i]
     little = NEAR * (abs(v) * u + size)
     high, low = (S[HIGH, i] - v) * u <= little, (v - S[LOW, i]) * u <= little
@@ -327,7 +327,7 @@ def side_near_limit(S: Matrix, i: int, size: float) -> float:
 
 @compiled
 def is_vertex_stable(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
-    """Return whether rounding cannot move the vertex; independent near rows join the set."""
+    """Return whether rounding cannot move the optimum where inactive rows are near limits too."""
     n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     for k in range(int(S[HEAD, COUNT]) & MASK):
         i = int(S[ACTIVE, k]) & MASK
@@ -366,7 +366,7 @@ def is_vertex_stable(S: Matrix, L: int, H: int, J: int, size: float) -> bool:
 
 @compiled
 def remove_squeezing_rows(S: Matrix, L: int, H: int, J: int, rest: int, size: float) -> int:
-    """Unlist rows that hold others exactly at their limits; return how many are left."""
+    """Unlist rows that, with active rows, force an exact equality; return how many are left."""
     n, w, left = int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, COUNT]) & MASK, rest
     A = J + row_width(S)
     for _ in range(rest):
@@ -384,7 +384,7 @@ def remove_squeezing_rows(S: Matrix, L: int, H: int, J: int, rest: int, size: fl
 
 @compiled
 def forces_equality(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> bool:
-    """Return whether row j exactly leaves the active rows it combines from no room."""
+    """Return whether row j at its limit leaves the active rows it combines no room to move."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         if S[V0, k] < inf and side * S[SIDE, i] * S[R, k] * S[UNIT, j] > NONE * S[UNIT, i]:
@@ -411,7 +411,7 @@ def forces_equality(S: Matrix, A: int, j: int, side: float, n: int, w: int) -> b
 
 @compiled
 def row_entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> float:
-    """Return an entry of row i of C = [I; A]; in column n its limit."""
+    """Return entry `column` of row i of the constraint matrix [I; A], or for column n its limit."""
     if column == n:
         return float(S[HIGH, i] if side > 0.0 else S[LOW, i])
     if i < n:
@@ -421,7 +421,7 @@ def row_entry(S: Matrix, A: int, i: int, side: float, column: int, n: int) -> fl
 
 @compiled
 def write_signed_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
-    """Store the coefficients by which active rows make inactive row j, signed by side."""
+    """Store inactive row j as a combination of active rows: coefficients, signed by limit."""
     for k in range(w):
         i = int(S[ACTIVE, k]) & MASK
         share = side * S[SIDE, i] * S[R, k] * S[UNIT, j] / S[UNIT, i]
@@ -430,7 +430,7 @@ def write_signed_shares(S: Matrix, r: int, j: int, side: float, w: int) -> None:
 
 @compiled
 def is_stable_under_exchange(S: Matrix, rest: int, w: int) -> bool:
-    """Return whether rows may replace active ones without near-dependent rows."""
+    """Return whether no exchange of active rows leaves nearly dependent ones."""
     for r in range(rest):
         partners = 0
         for k in range(w):
@@ -449,7 +449,7 @@ def is_stable_under_exchange(S: Matrix, rest: int, w: int) -> bool:
 
 @compiled
 def has_stable_minors(S: Matrix, r: int, q: int, w: int) -> bool:
-    """Return whether no 2 by 2 minor of two share rows is small but not zero."""
+    """Return whether two rows of coefficients are clearly independent or exactly dependent."""
     for k in range(w):
         if S[r, k] != 0.0 or S[q, k] != 0.0:
             for c in range(k):
@@ -461,7 +461,7 @@ def has_stable_minors(S: Matrix, r: int, q: int, w: int) -> bool:
 
 @compiled
 def has_inward_direction(S: Matrix, rest: int, w: int) -> bool:
-    """Return whether some direction leads inwards from all rows near their limits."""
+    """Return whether one direction leads into the feasible set from all rows near their limits."""
     for k in range(w):
         S[V0, k] = 1.0
     for _ in range(ROUNDS):
