@@ -180,7 +180,7 @@ class CondensedQP:
         return step
 
     def _add_preview(self, step: QPStep, y_ref: Matrix) -> None:
-        """Add the effect of a reference that changes along the horizon to a step's q and u."""
+        """Add the effect of a reference (N_p, n_y) that varies along the horizon to q and u."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]

@@ -22,7 +22,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains of the unconstrained MPC law: K_y of the reference, K_mpc = [K_x K_y] of the state.
+    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained MPC law.
 
     K_u (n_u, n_u) adds − K_u u(k−1) to the law where the force itself is weighed; else None.
     """

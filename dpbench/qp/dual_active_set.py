@@ -209,7 +209,7 @@ class DualActiveSet:
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
-        """Return vector a's coefficients in the active constraint normals, and its rest."""
+        """Return a vector's coefficients in the active normals, and the rest orthogonal to them."""
         if not self._active:
             return np.empty(0), a
         c = self._Q.T @ a
@@ -270,7 +270,7 @@ def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Cholesky factor of P and scaled constraint normals, shared by all QPs with the same P and C.
+    """Cholesky factor L (n, n) of P and scaled constraint normals J (n, N), shared by many QPs.
 
     Columns of J have unit length: the method is independent of the units of z and of the rows.
     """

@@ -257,7 +257,7 @@ def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
 
 @dataclass(frozen=True, eq=False)
 class SparseEquivalent:
-    """Sparse form of a condensed QP sequence, and the map of its solutions back."""
+    """Sparse form of a condensed QP sequence, and the map of its solutions to condensed ones."""
 
     sequence: QPSequence
     condensed: Callable[[Solution], Solution]

@@ -46,7 +46,7 @@ class ScenarioDocuments(VesselDocuments, total=False):
 
 
 class FileModel(BaseModel):
-    """Base model of all TOML files: unknown keys and loosely typed values are refused."""
+    """Base data model of TOML files that refuses unknown keys and loosely typed values."""
 
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
@@ -127,7 +127,7 @@ def is_stored(name: str | Path) -> bool:
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """Return the error for an unknown name of a vessel, scenario, suite or QP sequence."""
+    """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
     allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
@@ -160,7 +160,7 @@ def read_model(path: Path, model: type[_Model]) -> _Model:
 
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """Convert settings to a validated data model; InputError names key, value and the allowed."""
+    """Convert settings to a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
             warn_renamed(where, old, new)

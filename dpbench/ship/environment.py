@@ -137,7 +137,7 @@ class Environment:
         return b
 
     def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
-        """Return wind speed and wave envelope at all Runge-Kutta stages of a run."""
+        """Return wind speed and wave envelope at Runge-Kutta stages (steps, 2·substeps + 1)."""
         start, offset = _stage_times(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
         if self.wind is not None:

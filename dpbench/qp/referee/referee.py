@@ -317,7 +317,7 @@ class Referee:
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """Return the verdict by exact Farkas multipliers, if they hold once rounded.
+        """Return the infeasibility verdict of exact Farkas multipliers if valid once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """

@@ -79,7 +79,7 @@ def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> Leas
 
 
 def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
-    """Return the magnitudes (N,) that rounding of upper and lower limits is relative to."""
+    """Return magnitudes (N,) against which rounding errors of constraint limits are measured."""
     C = np.abs(problem.C)
     n = C.shape[1]
     m = len(C) - n
