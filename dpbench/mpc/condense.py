@@ -97,12 +97,12 @@ class ControlProblem:
         return {"N_p": self.N_p, "N_c": self.N_c}
 
     def rotate(self, turn_rad: float) -> ControlProblem:
-        """Return the problem with the model linearised at a heading `turn_rad` further on."""
+        """Return the MPC problem with its model re-linearised, the heading turned by `turn_rad`."""
         return replace(self, model=rotate_model(self.model, turn_rad))
 
 
 def toeplitz(h: Floats, N_c: int) -> Matrix:
-    """Return the block-Toeplitz prediction matrix Φ (N_p·n_y, N_c·n_u) of h (N_p, n_y, n_u)."""
+    """Return the block-Toeplitz prediction matrix Φ (N_p·n_y, N_c·n_u) of Markov parameters h."""
     N_p, n_y, n_u = h.shape
     padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
     padded[N_c - 1 :] = h
@@ -113,14 +113,14 @@ def toeplitz(h: Floats, N_c: int) -> Matrix:
 
 
 def summed_rows(N_c: int, G: Matrix) -> Matrix:
-    """Return (I ⊗ G) C2, which maps increments (N_c·n_u,) to rows G u of each move (N_c·r,)."""
+    """Return the matrix that maps all increments Δu to the limited values G u of each move."""
     rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
     write_summed_rows(G, rows)
     return rows
 
 
 def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
-    """Return the rows G (r, n_u) of the amplitude limits in scaled or SI units."""
+    """Return constraint rows G (r, n_u) of the input amplitude limits, in scaled or SI units."""
     if units == "si" or problem.thrusters is None:
         return problem.G
     return problem.G * problem.du_max / problem.row_max[:, np.newaxis]
@@ -152,7 +152,7 @@ class CondensedMatrices:
 
     @cached_property
     def F_y(self) -> Matrix:
-        """Map −Φᵀ Q̄ (n, N_p·n_y) from a varying reference Y_d to the gradient."""
+        """Map (n, N_p·n_y) from a reference that varies over the horizon to the QP gradient."""
         N_p, n_y, _ = self.h.shape
         n = self.E.shape[0]
         blocks = self.Phi.reshape(N_p, n_y, n).transpose(2, 0, 1)
@@ -178,7 +178,7 @@ def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
 
 
 def _condense_force_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
-    """Return the Hessian (n, n) and the gradient map (n, n_u) of the cost ½ Σ uᵢᵀ W uᵢ."""
+    """Return Hessian (n, n) and gradient map (n, n_u) of the summed input cost ½ Σ uᵢᵀ W uᵢ."""
     # Move j adds to the forces of j and all that follow.
     i = np.arange(float(N_c))
     E: Matrix = np.kron(N_c - np.maximum.outer(i, i), W)
@@ -189,7 +189,7 @@ def _condense_force_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
 def build_affine_map(
     problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem
 ) -> Matrix:
-    """Return Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1]."""
+    """Return the matrix Z that gives a step's QP vectors: [q; l; u] = Z [x; y_ref; u_prev; 1]."""
     unit, row_unit = problem.du_max, problem.row_max
     if units == "si":
         unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))

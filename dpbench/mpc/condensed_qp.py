@@ -31,7 +31,7 @@ Amplitude = Literal["reachable", "hard", "soft"]
 
 
 class CondensedOptions(TypedDict, total=False):
-    """Optional keyword arguments of `CondensedQP`: units, policy and bounds."""
+    """Options of a condensed MPC QP: units, amplitude-limit policy, output bounds, penalties."""
 
     units: UnitSystem
     amplitude: Amplitude
@@ -85,11 +85,11 @@ class CondensedQP:
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """Condensed matrices E, F and Φ of the paper, in SI units."""
+        """Condensed MPC matrices in SI units: Hessian E, free response F, prediction matrix Φ."""
         return self._matrices
 
     def _build_hard_qp(self) -> None:
-        """Build P, A, bounds and Z with hard limits on increments and amplitudes alone."""
+        """Build the constant QP matrices with hard increment and amplitude limits, no slacks."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
@@ -113,7 +113,7 @@ class CondensedQP:
         return []
 
     def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
-        """Rebuild the problem with soft amplitude limits, output bounds or further rows."""
+        """Rebuild the QP with soft amplitude limits, output bounds or further constraints."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
@@ -132,7 +132,7 @@ class CondensedQP:
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
-        """Allocate the parameter vector, and compute the slices that `emit` uses at each step."""
+        """Allocate the parameter vector and compute the array slices that build each step's QP."""
         n_u, at = self.control.model.n_u, self.control.model.theta
         theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
@@ -180,7 +180,7 @@ class CondensedQP:
         return step
 
     def _add_preview(self, step: QPStep, y_ref: Matrix) -> None:
-        """Add the effect of a reference (N_p, n_y) that changes along the horizon to q and u."""
+        """Add the effect of a reference (N_p, n_y) that varies along the horizon to q and u."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]
@@ -197,11 +197,11 @@ class CondensedQP:
             step.u.reshape(self._row_shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
-        """Return the map F_y (N_c·n_u, N_p·n_y) from the reference to the gradient, in SI units."""
+        """Return the map (N_c·n_u, N_p·n_y) from the reference to the QP gradient, in SI units."""
         return self._matrices.F_y
 
     def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
-        """Write changed amplitude limits into l and u of a step."""
+        """Write changed input amplitude limits into a step's row limits l and u."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write_limits(u_prev, limits, step.l, step.u)
@@ -228,13 +228,13 @@ class CondensedQP:
         return z.reshape(self._shape)[self._moves] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
-        """Return the variables z of control increments (N_c, n_u) in N, N, N·m, slacks at zero."""
+        """Convert control increments (N_c, n_u) [N, N, N·m] to QP variables z, slacks at zero."""
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
     def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
-        """Return J0 (eq. 24), the part of the cost J that z does not change."""
+        """Return the constant part J0 of the MPC cost, which no control increment changes."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

@@ -117,7 +117,7 @@ def write_hessian_blocks(h, Q, R, N_c, E):
 
 @njit(cache=True)
 def _copy_lower_to_upper(E):
-    """Copy the lower triangle of E to the upper one, tile by tile: rows would miss the cache."""
+    """Copy the lower triangle of a square matrix to the upper one, tile by tile for cache speed."""
     n = E.shape[0]
     for top in range(0, n, TILE):
         for left in range(0, top + 1, TILE):
@@ -128,7 +128,7 @@ def _copy_lower_to_upper(E):
 
 @njit(cache=True)
 def write_gradient_blocks(h, F, Q, F_x, F_held):
-    """Write the maps F_x = Φᵀ Q̄ F of the state and F_held of a held reference (eq. 24)."""
+    """Write the maps from state (F_x) and constant reference (F_held) to the condensed gradient."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
@@ -160,7 +160,7 @@ def write_gradient_blocks(h, F, Q, F_x, F_held):
 
 @njit(cache=True)
 def condense_blocks(A, B, C, Q, R, N_p, N_c):
-    """Return the matrices E, F_x, F_held, F and h of the condensed MPC problem (eq. 15-24)."""
+    """Condense an MPC problem: return Hessian, gradient maps, free response, Markov parameters."""
     n_x, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
     F = np.empty((N_p * n_y, n_x))
     h = np.empty((N_p, n_y, n_u))
@@ -175,7 +175,7 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
 
 @njit(cache=True)
 def write_summed_rows(G, rows):
-    """Write (I ⊗ G) C2 into rows (N_c·r, N_c·n_u): G times the sum of increments up to a move."""
+    """Write the matrix to `rows` that maps increments to G times their sum up to each move."""
     r, n_u = G.shape
     n = rows.shape[1]
     all_moves = np.empty((r, n))

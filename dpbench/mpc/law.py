@@ -22,7 +22,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained law (eq. 33).
+    """Gains K_y (n_u, n_y) and K_mpc = [K_x K_y] (n_u, n_x) of the unconstrained MPC law.
 
     K_u (n_u, n_u) adds − K_u u(k−1) to the law where the force itself is weighed; else None.
     """
@@ -55,7 +55,7 @@ class UnconstrainedLaw:
         self._known: tuple[CondensedMatrices, Gains] | None = None
 
     def __call__(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) at x (n_x,), y_ref (n_y,) and u(k−1) (n_u,)."""
+        """Return the unconstrained move Δu (n_u,) at state x, reference y_ref and input u(k−1)."""
         matrices = self._builder.matrices
         if self._known is None or self._known[0] is not matrices:
             self._known = matrices, gains(self._builder.control, matrices)

@@ -28,7 +28,7 @@ HORIZONTAL = slice(0, 2)  # North and east among the outputs
 
 
 class ThetaLayout(NamedTuple):
-    """Slices of x, y_ref and u_prev in the parameter vector [x; y_ref; u_prev; 1]."""
+    """Slices of state, reference and last input in the QP parameters [x; y_ref; u_prev; 1]."""
 
     x: slice
     y_ref: slice
@@ -116,20 +116,20 @@ def augment(discrete: StateSpace) -> StateSpace:
 
 
 def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Return the incremental discrete model of a ship at heading ψ0, from a cache."""
+    """Return a ship's incremental discrete-time model linearised at heading ψ0, from a cache."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
     return _cached_model(inertia, damping, psi0_rad, sample_s)
 
 
 @lru_cache(maxsize=64)
 def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Build the incremental model from the bytes of M and D, the keys of the cache."""
+    """Build a ship's incremental model from its inertia and damping as bytes, the cache keys."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
 def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
-    """Return a ship's incremental model linearised at a heading `turn_rad` further on.
+    """Return a ship's incremental model re-linearised at a heading turned by `turn_rad`.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y

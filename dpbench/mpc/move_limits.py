@@ -20,7 +20,7 @@ class MoveLimit(Protocol):
     """
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the applied force."""
+        """Write the rate- and amplitude-limited force to `applied`; return whether it was cut."""
 
 
 def move_limit(problem: ControlProblem) -> MoveLimit:
@@ -37,7 +37,7 @@ class AxisLimit:
         self._du_max = du_max
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the applied force; return whether anything was cut."""
+        """Clip an increment axis by axis; write the applied force, return whether it was cut."""
         clipped: bool = limit_move(self._du_max, u, du, limits.low, limits.high, applied)
         return clipped
 
@@ -78,7 +78,7 @@ class ThrusterLimit:
         self._rounding = CLIP_TOLERANCE * self._row_max
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
-        """Write the applied forces; return whether anything was cut."""
+        """Shorten thrusters' force changes; write applied forces, return whether any was cut."""
         rows, du_max = self._rows, self._du_max
         before = rows.G @ u
         u_min, u_max, _ = limits

@@ -55,7 +55,7 @@ def bounded_steps(N_p: int, N_c: int) -> Indices:
 def output_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
 ) -> list[ConstraintBlock]:
-    """Return the constraint blocks of the watch circle and of the speed bound."""
+    """Return the soft QP constraints of the position watch circle and of the ship-speed bound."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
@@ -87,7 +87,7 @@ def _polygon_block(
     radius: float,
     rho: float,
 ) -> ConstraintBlock:
-    """Return the block that bounds a predicted horizontal vector by a polygon around the origin.
+    """Return constraints that keep a predicted horizontal vector in a polygon around the origin.
 
     One unit of a row is the effect of a full rate-limit step at k of the strongest axis at the last
     instant; it is the same at every heading.

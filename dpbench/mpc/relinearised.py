@@ -52,7 +52,7 @@ class HeadingSeries:
 
     @classmethod
     def of(cls, samples: Sequence[Matrix]) -> HeadingSeries:
-        """Fit the polynomial to matrices sampled at five equally spaced headings."""
+        """Fit a trigonometric polynomial to matrices sampled at five equally spaced headings."""
         stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
         size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)
         stack = stack.reshape(len(_TURNS), -1)
@@ -63,7 +63,7 @@ class HeadingSeries:
         return cls(varying, values.mean(axis=0), terms)
 
     def write(self, turn_rad: float, out: Matrix) -> None:
-        """Evaluate the polynomial at a turn [rad] and write the varying entries into `out`."""
+        """Evaluate the polynomial at a heading change [rad]; write varying entries to `out`."""
         waves = _harmonics(math.cos(turn_rad), math.sin(turn_rad))
         # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
         values = self.constant.copy()
@@ -117,12 +117,12 @@ class RelinearisedQP(CondensedQP):
         self._brings_A = len(self._series["A"].varying) > 0
 
     def _condense_at(self, turn_rad: float) -> CondensedQP:
-        """Build the condensed QP with the model linearised at a heading `turn_rad` further on."""
+        """Build the condensed QP of the model linearised at a heading turned by `turn_rad`."""
         form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
         return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
     def _verify_series(self, check: CondensedQP) -> None:
-        """Raise InputError where the polynomials miss the QP condensed at one more heading."""
+        """Raise InputError if polynomials in heading miss the QP condensed at another heading."""
         for name, series in self._series.items():
             condensed, interpolated = getattr(check, name), getattr(self, name).copy()
             series.write(_CHECKED_TURN, interpolated)
@@ -135,7 +135,7 @@ class RelinearisedQP(CondensedQP):
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """Condensed matrices E, F and Φ in SI units at the last heading; slow after a turn."""
+        """Condensed matrices E, F, Φ at the last heading, SI; recomputed after it changes."""
         if self._condensed_at != self.heading_rad:
             turn = self.heading_rad - self.psi0_rad
             self._matrices = condense_matrices(self.control.rotate(turn))
@@ -144,17 +144,17 @@ class RelinearisedQP(CondensedQP):
 
     @cached_property
     def _reference_series(self) -> HeadingSeries:
-        """Polynomial in the heading of the map from the reference to the gradient."""
+        """Polynomial in the heading that gives the map from the reference to the QP gradient."""
         return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
 
     def _reference_map(self) -> Matrix:
-        """Return the map from the reference to the gradient at the current heading."""
+        """Return the map from the reference to the QP gradient at the current heading."""
         F_y = self._sampled[0].F_y.copy()
         self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
         return F_y
 
     def linearise(self, psi_rad: float) -> None:
-        """Update P, A and Z to the model linearised at the heading psi_rad."""
+        """Update the QP matrices P, A and Z to the ship model linearised at heading `psi_rad`."""
         self.heading_rad = float(psi_rad)
         turn = self.heading_rad - self.psi0_rad
         if len(self._series["P"].varying):

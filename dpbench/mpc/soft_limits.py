@@ -76,14 +76,14 @@ class ConstraintBlock:
 
 
 def infinite_limits(like: Floats, sign: float) -> Floats:
-    """Return the affine map of limits that are all +inf or −inf, in the shape of `like`."""
+    """Return coefficients of row limits that are infinite for all parameters, shaped as `like`."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf
     return rows
 
 
 def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
-    """Return the block of amplitude limits, softened by slacks where penalties ρ are given.
+    """Return constraints of the input amplitude limits, softened by slacks if penalties are given.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
     upper rows G C2 z − s ≤ u, then r lower rows G C2 z + s ≥ l.

@@ -40,7 +40,7 @@ PlainAmplitude = Literal["reachable", "hard"]  # Policies without slacks
 
 
 class StagedQP:
-    """Builder of the sparse MPC problem, which keeps the states as variables.
+    """Builder of the sparse MPC QP, which keeps the predicted states as variables.
 
     problem : model, horizons, weights and limits in SI units.
     units : "scaled" (Δu and u in steps of the rate limit) or "si"; states are in SI units in both.
@@ -84,7 +84,7 @@ class StagedQP:
             self._ramp_down = LimitRampDown(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
     def _stage_start(self, i: int, width: int) -> int:
-        """Return the index at which stage i begins, where stages with a move are `width` wide."""
+        """Return the index of stage i in a QP vector, where stages with a move take `width`."""
         behind = max(i - self.control.N_c, 0)
         return (i - behind) * width + behind * self.control.model.n_x
 
@@ -95,7 +95,7 @@ class StagedQP:
         return slice(first, first + model.n_x)
 
     def _build_cost(self) -> None:
-        """Build the Hessian P and the maps from the reference to the gradient q."""
+        """Build the sparse QP's Hessian P and the maps from the reference to its gradient q."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
@@ -123,7 +123,7 @@ class StagedQP:
         self._held[-model.n_x :] += self._end
 
     def _build_rows(self) -> None:
-        """Build the rows A of dynamics and amplitude limits, their limits, and the bounds."""
+        """Build the constraints of dynamics and amplitude limits: A, row limits and bounds."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit
@@ -159,7 +159,7 @@ class StagedQP:
         return stages[:, : self.control.model.n_u]
 
     def _view_amplitude_rows(self, along: Vector) -> Matrix:
-        """Return a view (N_c, r) of the amplitude rows in a vector over the QP rows."""
+        """Return a view (N_c, r) of the amplitude limits' entries in a vector over QP rows."""
         stages = along[: self._row_cut].reshape(self.control.N_c, self._row_width)
         return stages[:, -len(self._row_unit) :]
 
@@ -184,7 +184,7 @@ class StagedQP:
         return QPStep(q, low, high)
 
     def _effective_limits(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return amplitude limits in row units, extended to what the rate limit can reach."""
+        """Return each move's scaled amplitude limits, extended to what the rate limit can reach."""
         low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
             return low, high
@@ -217,7 +217,7 @@ class StagedQP:
         return QuadraticProgram(self.P, *vectors, stages=stages)
 
     def condensed(self, solution: Solution) -> Solution:
-        """Return the condensed problem's solution: increments, amplitude and bound multipliers.
+        """Convert a sparse solution to the condensed one: increments and limit multipliers.
 
         NaN stays NaN; a claim of infeasibility keeps its proof (see the module).
         """

@@ -29,18 +29,18 @@ class TerminalCost:
 
     @property
     def E(self) -> Matrix:
-        """Addition Γᵀ W Γ (n, n) to the condensed Hessian, symmetric to the last bit."""
+        """Part (n, n) of the condensed Hessian due to the terminal cost, exactly symmetric."""
         E = self.Gamma.T @ self.W @ self.Gamma
         return 0.5 * (E + E.T)
 
     @property
     def F_x(self) -> Matrix:
-        """Addition (n, n_x) to the map from the state to the condensed gradient."""
+        """Part (n, n_x) due to the terminal cost in the map from the state to the QP gradient."""
         return self.Gamma.T @ self.W @ self.A_N
 
     @property
     def F_y(self) -> Matrix:
-        """Addition (n, n_y) to the map from the last reference to the condensed gradient."""
+        """Part (n, n_y) due to the terminal cost in the map from last reference to gradient."""
         return -self.Gamma.T @ self.W @ self.C.T
 
     def constant(self, x: Vector, y_d: Vector) -> float:
@@ -73,7 +73,7 @@ def solve_riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Ma
 def build_terminal_cost(
     model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector, N_p: int, N_c: int
 ) -> TerminalCost:
-    """Return the infinite-horizon terminal cost for horizons N_p and N_c."""
+    """Return the terminal cost that extends an MPC of horizons N_p, N_c to an infinite horizon."""
     n_u = model.n_u
     Gamma = np.empty((model.n_x, N_c * n_u))
     reached = np.linalg.matrix_power(model.A, N_p - N_c) @ model.B

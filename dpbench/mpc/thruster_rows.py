@@ -27,7 +27,7 @@ NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)  # Of limits that belong to no
 
 
 class Limits(NamedTuple):
-    """Lower and upper limits (r,) of the rows of a force, and the flags of lost thrusters."""
+    """Lower and upper limits (r,) of r linear force constraints, and flags of lost thrusters."""
 
     low: Vector
     high: Vector
@@ -36,7 +36,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ThrusterRows:
-    """Linear limits low ≤ G f ≤ high of all thrusters, the rows of one thruster together.
+    """Linear limits low ≤ G f ≤ high on the forces f of all thrusters, grouped by thruster.
 
     G (r, n_f) : rows, each of unit length on the entries of one thruster.
     low, high (r,) : limits [N]; zero lies within. intact : these limits with no thruster lost.
@@ -55,12 +55,12 @@ class ThrusterRows:
         object.__setattr__(self, "intact", intact)
 
     def row_units(self, df_max: Vector) -> Vector:
-        """Return the change of each row (r,) by a full rate-limit step df_max (n_f,): its unit."""
+        """Return each force constraint's unit (r,): its change by a full rate-limit step."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 
     def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """Return each thruster's largest row value and its largest entry value, (p,) each."""
+        """Return each thruster's largest value over its constraint rows and force components."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
@@ -91,7 +91,7 @@ def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
 
 
 def _limit_rows(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
-    """Return the limit rows of one thruster: normals (r_i, components), low and high (r_i,)."""
+    """Return one thruster's linear force limits: normals (r_i, components), low and high (r_i,)."""
     if thruster.kind != "azimuth":
         most = np.array([thruster.thrust_N])
         return np.ones((1, 1)), -thruster.astern * most, most
@@ -151,13 +151,13 @@ class LimitRampDown:
         self._table: Matrix = table
 
     def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return each move's row limits (N_c, r) less G f, lowered ones closing in slowly."""
+        """Return limits (N_c, r) on the summed force change; lowered ones close in slowly."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
         self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
     def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
-        """Write the gradually tightened limits of each move into its first r rows in l and u."""
+        """Write each move's force limits, lowered ones tightened gradually, into l and u."""
         _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
@@ -167,7 +167,7 @@ LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(
 
 @njit(cache=True, error_model="numpy")
 def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
-    """Write each move's limits into l and u, tightened gradually where f is outside them."""
+    """Write each move's force limits into l and u, tightened gradually if f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
         table[ALONG, k] = 0.0

@@ -168,7 +168,7 @@ class DualActiveSet:
         return j, side
 
     def _add_row(self, j: int, side: float) -> Ending | None:
-        """Raise the multiplier of row j until the row is active; drop rows that block."""
+        """Raise a violated row's multiplier until the row is active; drop rows that block."""
         J, lam = self._J, self._lam
         limit = self._upper[j] if side > 0.0 else self._lower[j]
         self._side[j] = side
@@ -205,11 +205,11 @@ class DualActiveSet:
         return Ending.ITERATION_LIMIT
 
     def _factor_active_rows(self) -> None:
-        """Compute the QR factorisation of the active columns of J."""
+        """Compute the QR factorisation of the active constraints' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
-        """Split a into J_W r + d with d orthogonal to the active columns J_W; return r and d."""
+        """Return a vector's coefficients in the active normals, and the rest orthogonal to them."""
         if not self._active:
             return np.empty(0), a
         c = self._Q.T @ a
@@ -218,7 +218,7 @@ class DualActiveSet:
         return _solve_triangular(self._R, c + again), d - self._Q @ again
 
     def _find_blocking_row(self, r: Vector, least: float) -> tuple[int, float]:
-        """Return position and step length of the first multiplier to reach zero along r."""
+        """Return which active multiplier reaches zero first along a step, and that step length."""
         if not self._active:
             return -1, np.inf
         lam = self._lam[self._active]
@@ -270,7 +270,7 @@ def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Constant part of all QPs with the same P and rows C: L (n, n), scaled J (n, N), scale (N,).
+    """Cholesky factor L (n, n) of P and scaled constraint normals J (n, N), shared by many QPs.
 
     Columns of J have unit length: the method is independent of the units of z and of the rows.
     """

@@ -38,7 +38,7 @@ def has_equal_blocks(n: int, m: int, block: int) -> bool:
 
 
 def rows_per_block(n: int, m: int, block: int) -> int:
-    """Return the number of rows per move, for m rows and n variables in moves of `block`."""
+    """Return the number of constraint rows per control move of `block` variables."""
     return m * block // n
 
 
@@ -131,7 +131,7 @@ class QuadraticProgram:
         )
 
     def at(self, step: QPStep) -> QuadraticProgram:
-        """Return the problem with a step's vectors, and its matrices where the step brings any."""
+        """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
         parts = {name: getattr(step, name) for name in ARRAYS}
         return replace(self, **{name: part for name, part in parts.items() if part is not None})
 
@@ -217,7 +217,7 @@ class QPSequence:
         return int(self.q.shape[0])
 
     def step(self, k: int) -> QPStep:
-        """Return a copy of the data of step k."""
+        """Return a copy of the QP data of step k that change along the sequence."""
         step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
         for name in CONSTANT:
             if (array := getattr(self, name)) is not None:
@@ -257,7 +257,7 @@ def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
 
 @dataclass(frozen=True, eq=False)
 class SparseEquivalent:
-    """Sparse form of a condensed QP sequence, and the map of its solutions back."""
+    """Sparse form of a condensed QP sequence, and the map of its solutions to condensed ones."""
 
     sequence: QPSequence
     condensed: Callable[[Solution], Solution]

@@ -149,7 +149,7 @@ class _PlantedStep(NamedTuple):
 
 
 def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _ConstantParts:
-    """Draw the constant matrices, bounds and kinds of rows of a random QP sequence."""
+    """Draw a random QP sequence's constant matrices and bounds, and which row limits exist."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
     P = draw_semidefinite(rng, n, rank) if family.semidefinite else draw_definite(rng, n, cond)
@@ -214,7 +214,7 @@ def _choose_active_limits(
 
 
 def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) -> _PlantedStep:
-    """Build one QP step around a chosen optimum, from its signals s (m + n,)."""
+    """Build one QP step around a chosen optimum, from random numbers s (m + n,)."""
     m = len(frame.half)
     met, y, near = _choose_active_limits(frame, family, s, count)
     wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)

@@ -24,7 +24,7 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """Convert the data of a two-sided step to those of the one-sided QP `stacked`.
+    """Convert one step of a QP with two-sided rows to a step of its one-sided form `stacked`.
 
     A step with matrices brings P and A of the two-sided form, from which M is built.
     """

@@ -85,7 +85,7 @@ def read_mss(path: Path) -> Hull:
 
 
 def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
-    """Return a field as finite floats; InputError if it is missing or not numeric."""
+    """Return a hull file's field as finite floats; InputError if it is missing or not numeric."""
     array = vessel.get(f"vessel.{key}", _NOTHING)
     if not array.size:
         found = "no numbers" if f"vessel.{key}" in vessel else "nothing"
@@ -97,7 +97,7 @@ def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
 
 
 def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
-    """Return a frequency-dependent field as matrices (frequencies, 6, 6), at the first speed."""
+    """Return a hull file's frequency-dependent matrices (frequencies, 6, 6) at the first speed."""
     array = _read_field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
     array = array[:, :, np.newaxis] if array.ndim == 2 else array
@@ -109,7 +109,7 @@ def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> 
 
 
 def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
-    """Return the viscous damping (frequencies, 6, 6); InputError where the file has none."""
+    """Return a hull file's viscous damping (frequencies, 6, 6); InputError if it has none."""
     if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
@@ -119,7 +119,7 @@ def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
 
 
 def _read_dimensions(vessel: _Fields) -> dict[str, float]:
-    """Return length, breadth, draught and displacement where the file gives them above zero."""
+    """Return a hull file's length, breadth, draught and displacement, those given above zero."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
     numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}
@@ -147,7 +147,7 @@ def read_coefficient_table(path: Path) -> Hull:
 
 
 def _read_coefficients(path: Path) -> dict[str, float]:
-    """Read the named coefficients of a CSV table; InputError for a bad row."""
+    """Read the hull coefficients of a CSV table by name; InputError for a bad row."""
     what = "a readable CSV file in UTF-8"
     content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
     try:
@@ -172,7 +172,7 @@ def _read_coefficients(path: Path) -> dict[str, float]:
 
 
 def _parse_coefficient(path: Path, name: str, text: str) -> float:
-    """Parse a finite number, above zero unless it is a coupling; InputError otherwise."""
+    """Parse a hull coefficient, finite and, unless a coupling, above zero; InputError otherwise."""
     try:
         value = float(text)
     except ValueError:

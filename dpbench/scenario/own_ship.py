@@ -185,7 +185,7 @@ def froude_time(length_m: float) -> float:
 
 
 def sea_state(number: int) -> EnvironmentTable:
-    """Return the environment table (wind, waves, current) of a DP number at full size."""
+    """Return wind, waves and current of a DP capability number at full size, as settings."""
     wind_mps, hs_m, tp_s, current_mps = DP_NUMBERS[number]
     return EnvironmentTable(
         ramp_s=RAMP_S,
@@ -199,7 +199,7 @@ def sea_state(number: int) -> EnvironmentTable:
 
 
 def load_share(vessel: Vessel, number: int) -> float:
-    """Return the largest ratio of mean weather force to force limit over the axes."""
+    """Return the largest ratio over the axes of mean force to limit, in a DP number's weather."""
     load = mean_load(vessel, sea_state(number).build_environment(Froude()))
     # What pushes astern is met with force ahead.
     limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
@@ -207,5 +207,5 @@ def load_share(vessel: Vessel, number: int) -> float:
 
 
 def largest_sea(vessel: Vessel) -> int:
-    """Return the largest DP number whose mean force leaves half of the limits; 1 if none does."""
+    """Return the largest DP number whose mean weather force takes at most half of the limits."""
     return max((n for n in DP_NUMBERS if load_share(vessel, n) <= SPARE), default=1)

@@ -46,7 +46,7 @@ class ScenarioDocuments(VesselDocuments, total=False):
 
 
 class FileModel(BaseModel):
-    """Base model of all TOML files: unknown keys and loosely typed values are refused."""
+    """Base data model of TOML files that refuses unknown keys and loosely typed values."""
 
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
@@ -59,7 +59,7 @@ class FileModel(BaseModel):
 
     @model_serializer(mode="wrap")
     def _omit_default_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Return the table without newer keys that have their default value."""
+        """Return the settings to be written, without newer keys at their default value."""
         table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
@@ -105,7 +105,7 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
 
 
 def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """Return the path of a sequence given by name or by path, which may not exist.
+    """Return the path of a QP sequence given by name or by path, which may not exist.
 
     Raises UnknownNameError for a name that is neither a stored sequence nor a folder.
     """
@@ -122,12 +122,12 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
 
 def is_stored(name: str | Path) -> bool:
-    """Return whether a sequence of this name is shipped with dpbench."""
+    """Return whether a QP sequence of this name is shipped with dpbench."""
     return str(name) in problem_names(SEQUENCES)
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """Return the error for an unknown name, with the nearest allowed names."""
+    """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
     allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
@@ -155,12 +155,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_model(path: Path, model: type[_Model]) -> _Model:
-    """Read a TOML file and validate it as a `model`; InputError names the faulty key."""
+    """Read and validate a TOML file as a data model; InputError names the faulty key."""
     return parse_model(read_toml(path), model, str(path))
 
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """Validate a document as a `model`; InputError names the key, the value and what is allowed."""
+    """Convert settings to a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
             warn_renamed(where, old, new)
@@ -187,7 +187,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
 
 
 def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
-    """Return the allowed keys of the table at a path of keys."""
+    """Return the keys that a data model allows in the nested table at a path of keys."""
     current: Any = model
     for key in keys:
         field = current.model_fields.get(key) if hasattr(current, "model_fields") else None

@@ -125,7 +125,7 @@ class Scenario:
         )
 
     def estimator(self) -> Estimator:
-        """Return a new estimator, started at the state of the first sample."""
+        """Return a new state estimator, started at the ship's state of the first sample."""
         estimator = self.estimation.build_estimator(self.vessel, self.sample_s)
         estimator.start(self.first_state)
         return estimator
@@ -221,7 +221,7 @@ def build_scenario(
 
 
 def cached_scenario(files: ScenarioDocuments) -> Scenario:
-    """Return the scenario of documents from a cache; the weather's seed may differ."""
+    """Build a scenario from file contents, or take it from a cache; then set the weather's seed."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
         return _build_from_json(json.dumps(files, sort_keys=True))
@@ -233,14 +233,14 @@ def cached_scenario(files: ScenarioDocuments) -> Scenario:
 
 @lru_cache(maxsize=64)
 def _build_from_json(files: str) -> Scenario:
-    """Build a scenario from its documents as JSON text, the key of the cache."""
+    """Build a scenario from its files' contents as JSON text, the key of the cache."""
     return build_scenario(json.loads(files))
 
 
 def _build_actuators(
     spec: ScenarioFile, controller: Controller, sample_s: float, scale: Froude
 ) -> Actuators | CommandedThrusters | None:
-    """Return the losses, delay and lag between commands and the hull; None where there are none."""
+    """Return thrust losses, delay and lag between commands and hull; None where there are none."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)

@@ -25,7 +25,7 @@ _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 def replace_values(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
-    """Return the scenario with some values replaced, given by their dotted keys.
+    """Return a scenario with values replaced, given by dotted keys such as `start.east_m`.
 
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
@@ -41,7 +41,7 @@ def replace_document_values(
     *,
     beside: Path | None = None,
 ) -> ScenarioDocuments:
-    """Return a scenario's documents with some values replaced, not yet validated."""
+    """Return a scenario's file contents with values of dotted keys replaced, not validated."""
     changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
@@ -75,7 +75,7 @@ def _replace_value(table: Any, parts: list[str], value: object, where: str) -> A
 
 
 def _find_index(table: Any, part: str, where: str) -> Any:
-    """Return a part of a dotted key as a key or list index; InputError where it does not exist."""
+    """Return one part of a dotted key as a key or list index; InputError if there is none such."""
     if isinstance(table, dict):
         if part in table:
             return part
@@ -94,7 +94,7 @@ def behave_differently(one: Scenario, other: Scenario, steps: int) -> bool:
 
 
 def _serialise_behaviour(scenario: Scenario, steps: int) -> bytes:
-    """Return all that a run depends on as bytes, without names and titles."""
+    """Return all of a scenario that affects a run as bytes, without names and titles."""
     sea, sample_s = scenario.environment, scenario.sample_s
     weather = (
         sea.stage_table(steps, sample_s, SUBSTEPS),

@@ -16,7 +16,7 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """DelayedThrust losses and dead time between the commanded force and the hull."""
+    """Thrust losses and dead time between the commanded force and the hull."""
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0

@@ -87,7 +87,7 @@ class SensorNoise:
     std: Vector
 
     def table(self, samples: int, seed: int) -> Matrix:
-        """Draw the noise (samples, 3) of a seed; a longer table begins with the shorter one."""
+        """Draw sensor noise (samples, 3) from a seed; more samples do not change the first."""
         stream = random_stream(seed, "noise")
         return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
@@ -137,7 +137,7 @@ class Environment:
         return b
 
     def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
-        """Return wind speed and wave envelope at all stages: (steps, 2·substeps + 1) each."""
+        """Return wind speed and wave envelope at Runge-Kutta stages (steps, 2·substeps + 1)."""
         start, offset = _stage_times(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
         if self.wind is not None:
@@ -208,12 +208,12 @@ class Environment:
 
 
 def _stage_times(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
-    """Return the sample times (steps,) and the stage times after each (2·substeps + 1,) [s]."""
+    """Return the sample times (steps,) and the Runge-Kutta stage times after each sample [s]."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
 def _vectors_towards(length: Matrix, to_rad: float) -> Matrix:
-    """Return vectors (..., 2), north and east, of given lengths in one direction."""
+    """Return horizontal vectors (..., 2), north and east, of given lengths in one direction."""
     vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
     return vectors

@@ -21,25 +21,25 @@ class Froude:
 
     @property
     def length(self) -> float:
-        """Scale factor of lengths."""
+        """Froude scale factor of lengths, model over full size."""
         return 1.0 / self.ratio
 
     @property
     def time(self) -> float:
-        """Scale factor of times, which is also that of speeds."""
+        """Froude scale factor of times, which is also that of speeds."""
         return 1.0 / math.sqrt(self.ratio)
 
     @property
     def force(self) -> Vector:
-        """Scale factors (3,) of surge force, sway force and yaw moment."""
+        """Froude scale factors (3,) of surge force, sway force and yaw moment."""
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
     def velocity(self) -> Vector:
-        """Scale factors (3,) of surge speed, sway speed and yaw rate."""
+        """Froude scale factors (3,) of surge speed, sway speed and yaw rate."""
         return np.array([self.time, self.time, 1.0 / self.time])
 
     @property
     def pose(self) -> Vector:
-        """Scale factors (3,) of north, east and heading."""
+        """Froude scale factors (3,) of north, east and heading."""
         return np.array([self.length, self.length, 1.0])

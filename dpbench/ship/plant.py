@@ -128,7 +128,7 @@ def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled by numba
-    """Advance the state s (6,) in place by one sample under slow forces b (2·substeps + 1, 3)."""
+    """Advance the ship state s (6,) in place by one sample under thrust and slow forces b."""
     if b.shape[1] != PLAIN:
         raise ValueError("a stage table of 3 columns is for weather that ignores the ship")
     mid = work[STAGES]
@@ -145,7 +145,7 @@ def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled by numba
-    """Advance the state s (6,) in place by one sample in weather b (2·substeps + 1, 9)."""
+    """Advance the ship state s (6,) in place by one sample under thrust, wind, current, waves."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for weather that moves with the ship")
     mid = work[STAGES]

@@ -187,7 +187,7 @@ class ThrusterSet:
 
 
 def _support(thruster: Thruster, slope: Vector) -> float:
-    """Return the largest value of slope·f_i within the limits of one thruster."""
+    """Return the largest value of slope·f over the forces f that one thruster can give."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N
         return float(max(slope[0] * low, slope[0] * high))

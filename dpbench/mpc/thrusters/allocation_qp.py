@@ -52,7 +52,7 @@ class AllocationProblem:
 
     @cached_property
     def row_max(self) -> Vector:
-        """Change of each row (r,) by a full rate-limit step of its thruster: the row's unit."""
+        """Unit of each thruster-limit row (r,): its change by a full rate-limit step."""
         return self.rows.row_units(self.df_max)
 
     def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
@@ -96,7 +96,7 @@ class AllocationQP:
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
     def _build_matrices(self) -> None:
-        """Build P, A, bounds and the affine map Z of the allocation QP, in its units."""
+        """Build the allocation QP's constant P, A, bounds, and the map Z that gives q, l, u."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))

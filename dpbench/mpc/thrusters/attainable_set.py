@@ -36,7 +36,7 @@ class AttainableSet:
     corners: tuple[Matrix, ...]
 
     def limits(self, lost: Collection[int]) -> Limits:
-        """Return the limits of the polytope's rows after the loss of some thrusters.
+        """Return the limits of the attainable-force polytope's facets after the loss of thrusters.
 
         The force as a whole counts as lost where the set is empty in some direction.
         """
@@ -49,7 +49,7 @@ class AttainableSet:
         return Limits(low, high, np.array([(low == high).any()]))
 
     def rows(self) -> ThrusterRows:
-        """Return the polytope as linear limits of the force, all in one group."""
+        """Return the polytope of attainable forces as linear limits on force and moment."""
         low, high, _ = self.limits(())
         one_group = (np.zeros(size, dtype=np.intp) for size in (len(low), AXES))
         return ThrusterRows(self.normals, low, high, *one_group)

@@ -53,7 +53,7 @@ class AzimuthTurning:
         )
 
     def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return cosine, sine and largest change across each azimuth in a sample [N]: (a,) each."""
+        """Return each azimuth's direction (cos, sin) and largest sideways change per sample [N]."""
         parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
         c, s, most = np.array([_azimuth_direction(*part) for part in parts]).reshape(-1, 3).T
         return c, s, most
@@ -88,7 +88,7 @@ class TurningLimit(ThrusterLimit):
 
 @njit(cache=True, error_model="numpy")
 def _azimuth_direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Return cosine and sine of an azimuth's direction, and the largest change across it [N]."""
+    """Return an azimuth's force direction (cos, sin) and its largest sideways force change [N]."""
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
     # Below it a direction is rounding, and what is squared is lost.
@@ -114,7 +114,7 @@ class TurningQP(CondensedQP):
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
     def _extra_blocks(self) -> list[ConstraintBlock]:
-        """Return two rows per azimuth, along and across it, as they are at zero force."""
+        """Return two constraints per azimuth on force change along and across it at zero force."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
         moves = np.zeros((N_c, 2 * a, N_c, n_u))
@@ -130,7 +130,7 @@ class TurningQP(CondensedQP):
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """Return the QP of one step, with turning rows in the directions of the forces u_prev."""
+        """Return one step's QP, with azimuth turning constraints set by the last forces."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
         _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)

@@ -51,7 +51,7 @@ class StaticAllocation:
     def build_qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
-        """Return the allocation QP of one static load, for chosen convex pieces and lost thrusters.
+        """Return the QP that allocates a static load to thrusters, each in one convex force region.
 
         load : (3,) mean load times its factor [N, N, N·m]; chosen : (p,) a piece of each thruster;
         shares : (p,) effective over nominal thrust; lost : indices of those that give nothing.
@@ -71,7 +71,7 @@ class StaticAllocation:
     def _sector_and_chord_rows(
         self, i: int, piece: Piece, share: float
     ) -> tuple[Matrix, Vector, Vector]:
-        """Return rows, lower and upper limits of the sector and chords of one azimuth."""
+        """Return rows and limits that keep an azimuth in its sector and inside loss chords."""
         count = self._extra[i]
         normals = np.tile([1.0, 0.0], (count, 1))
         low, high = np.full(count, -NEVER), np.full(count, NEVER)
@@ -105,7 +105,7 @@ class LossAllocation:
         self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
-        """Return row limits (K, 3 + r) for K forces (K, 3) and thruster limits (K, r) [N]."""
+        """Return QP row limits (K, 3 + r) for K demanded forces and thruster limits (K, r) [N]."""
         balance = force / self._units
         return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 

@@ -40,14 +40,14 @@ class Dyadic:
 
     @property
     def T(self) -> Dyadic:
-        """Transposed array."""
+        """Transpose of the array of exact numbers."""
         return Dyadic(self.whole.T, self.exponent)
 
     def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
     def at(self, exponent: int) -> Whole:
-        """Return the integers that represent the same numbers at a smaller exponent."""
+        """Return the integers that times a smaller power of two give the same numbers."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
     def __add__(self, other: Dyadic) -> Dyadic:
@@ -87,7 +87,7 @@ class Dyadic:
 
 
 def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
-    """Solve M x = rhs exactly in integers; None where a leading minor is zero.
+    """Solve M x = rhs exactly, as integer numerators and one denominator; None if singular.
 
     M (N, N) must have non-zero leading minors unless it is singular, as a KKT matrix with positive
     definite cost has, so that no pivoting is needed; rhs (N, k).

@@ -53,7 +53,7 @@ class Scales:
         return C * self.R[:, np.newaxis] * self.D
 
     def problem(self, problem: JointQP, P: Matrix, C: Matrix) -> JointQP:
-        """Return a problem with equilibrated vectors, and the equilibrated matrices P and C."""
+        """Return a QP with equilibrated vectors q, L and U, and the given equilibrated P and C."""
         q = self.cost * problem.q * self.D
         return JointQP(P, q, C, problem.L * self.R, problem.U * self.R)
 

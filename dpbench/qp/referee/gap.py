@@ -37,7 +37,7 @@ def find_met_limits(problem: JointQP, z: Vector) -> Signs:
 
 
 def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
-    """Select linearly independent rows of C among `signs` ≠ 0, preferring those in `first`."""
+    """Select linearly independent constraint rows of an active set, preferring those in `first`."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]
     basis = np.zeros((0, n))
@@ -93,7 +93,7 @@ def gap_certificate(
 def refine_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
-    """Solve the KKT system K_W [z; λ] = [−q; target] by iterative refinement in exact numbers."""
+    """Solve an active set's KKT system by iterative refinement in exact numbers, or return None."""
     n = system.n
     G, q = exact.C[system.rows], Dyadic.of(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)
@@ -113,7 +113,7 @@ def refine_exactly(
 
 
 def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
-    """Convert a step to integer multiples of 2^LAST_BIT."""
+    """Round a refinement step to integer multiples of a fixed power of two."""
     digits = Dyadic.of(step)
     shift = digits.exponent - LAST_BIT
     if shift >= 0:

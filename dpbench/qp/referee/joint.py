@@ -48,12 +48,12 @@ class Proof:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactMatrices:
-    """Matrices P and C of a joint QP in exact arithmetic."""
+    """Hessian P and constraint rows C of a QP in exact arithmetic."""
 
     P: Dyadic
     C: Dyadic
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
-        """Convert the matrices P and C to exact arithmetic."""
+        """Convert Hessian P and constraint rows C from float64 to exact arithmetic."""
         return cls(Dyadic.of(P), Dyadic.of(C))

@@ -194,7 +194,7 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
 
 @cached_njit
 def classify_limits(q, L, U):
-    """Classify q and limits: ordered, crossed (some L > U) or invalid (NaN)."""
+    """Classify a QP's gradient and limits: ordered, crossed (some L > U) or invalid (NaN)."""
     if not _are_finite(q):
         return INVALID_DATA
     code = ORDERED_LIMITS

@@ -68,7 +68,7 @@ class KKTSystem:
         return self.alpha < 0.5
 
     def rhs(self, q: Vector, L: Vector, U: Vector) -> Vector:
-        """Return the right-hand side [−q; b_W] (n + w,), b_W the active limits."""
+        """Return the KKT right-hand side [−q; b_W] (n + w,), b_W the active limits."""
         return np.concatenate((-q, np.concatenate((U, L))[self.limits]))
 
     def inverse_bounds(self) -> Matrix:
@@ -96,7 +96,7 @@ def is_positive_definite(P: Matrix) -> bool:
 
 
 class Geometry:
-    """Rows C by columns with a rounding constant, to bound the error of slacks."""
+    """Constraint matrix C by columns, and a rounding factor to bound the error of slacks."""
 
     def __init__(self, C: Matrix) -> None:
         self.C_T = np.ascontiguousarray(C.T)

@@ -158,7 +158,7 @@ def _bound_distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
 
 
 def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
-    """Return whether some rows of C satisfy their limits with a margin of at least `doubt`."""
+    """Return whether given constraint rows satisfy their limits by a margin of at least `doubt`."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
         slack = Dyadic.of(limit[there]) - value[there]
@@ -169,12 +169,12 @@ def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> b
 
 
 def _penalty_weight(P: Matrix) -> float:
-    """Return the weight w of the rows in the matrix M = P + w CᵀC."""
+    """Return the penalty weight w of the constraint rows C in the augmented Hessian P + w CᵀC."""
     return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
 def _penalised_lower_bound(P: Matrix, C: Matrix) -> Matrix:
-    """Return a matrix that is provably at most P + w CᵀC, rounding included."""
+    """Return a matrix provably below the augmented Hessian P + w CᵀC, rounding included."""
     w = _penalty_weight(P)
     M = P + w * (C.T @ C)
     size = np.abs(P) + w * (np.abs(C).T @ np.abs(C))
@@ -186,7 +186,7 @@ def _penalised_lower_bound(P: Matrix, C: Matrix) -> Matrix:
 def _bound_penalised_inverse(
     problem: JointQP, support: Indices, equal: Indices, *, convex: bool
 ) -> Matrix | None:
-    """Return entrywise upper bounds of |(P + w CᵀC)⁻¹| for the rows `support`, or None."""
+    """Return upper bounds of the entries of |(P + w CᵀC)⁻¹|, C some rows; None without proof."""
     P, C = problem.P, problem.C
     if not convex and not is_positive_definite(_penalised_lower_bound(P, C[equal])):
         return None
@@ -208,14 +208,14 @@ LARGEST = 1e6  # Inward amounts beyond it would need more room than the limits m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SetGuess:
-    """Guessed active set, and its point where that is known."""
+    """Guessed active set of a QP, and its primal point if known."""
 
     signs: Signs
     z: Vector | None
 
 
 class LastResort:
-    """Last certificate for QPs of one P and C: equilibrated, with enclosed equality rows."""
+    """Costliest certifier of optima of QPs with the same P and C: scaled, equalities enclosed."""
 
     def __init__(self, P: Matrix, C: Matrix, *, convex: bool) -> None:
         self._scales = Scales.of(P, C)
@@ -324,7 +324,7 @@ class LastResort:
 
 
 def _find_explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
-    """Return touched limits whose multipliers of the right sign balance the gradient at z."""
+    """Return limits met at z whose multipliers of the right sign balance the gradient there."""
     touched = find_met_limits(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
@@ -358,7 +358,7 @@ def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
 
 
 def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
-    """Return how far inside its limits to hold each row so that all touched limits are met.
+    """Return how far inside its limits to hold each active row so that all limits near hold.
 
     1 for inequality rows where no other row is touched; else by a direction that leads inside all
     of them; None where there is no such direction.

@@ -84,7 +84,7 @@ def _mark_infinite(numbers: Whole, given: Vector) -> list[int | None]:
 
 @dataclass(slots=True)
 class _ExactPoint:
-    """Exact point and multipliers, and their slopes in μ, over one common denominator."""
+    """Exact point and multipliers, and their change per unit of a new row's multiplier."""
 
     point: Whole
     slope: Whole
@@ -92,7 +92,7 @@ class _ExactPoint:
 
 
 class _ActiveSet:
-    """Rows held at a limit; side is +1 at the upper, −1 at the lower limit, 0 for equalities."""
+    """Constraint rows held at a limit: side +1 the upper, −1 the lower one, 0 an equality."""
 
     def __init__(self, qp: _IntegerQP) -> None:
         self.qp = qp
@@ -106,7 +106,7 @@ class _ActiveSet:
         self.side.append(0 if equal else sign)
 
     def drop(self, position: int) -> None:
-        """Remove the row at a position of the set."""
+        """Remove the row at a position of the active set."""
         del self.rows[position], self.side[position]
 
     def solve(self, gradient: Whole) -> _ExactPoint | None:
@@ -132,7 +132,7 @@ class _ActiveSet:
         return worst if worst is not None and values[worst] < 0 else None
 
     def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
-        """Return how far a new row's multiplier μ can rise until another is 0, and which."""
+        """Return how far a new row's multiplier can rise until another is zero, and that one."""
         n = len(self.qp.q)
         multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
         zeros = (

@@ -84,7 +84,7 @@ SEMIDEFINITE_SIZE = 100
 
 @dataclass(slots=True)
 class _MatrixData:
-    """Cached data that depend only on a referee's matrices, computed on first use."""
+    """Cached factorisations and exact matrices for QPs with the same P and A, made on first use."""
 
     systems: OrderedDict[bytes, KKTSystem] = field(default_factory=OrderedDict)
     inverse: Matrix | None = None
@@ -117,14 +117,14 @@ class Referee:
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
     def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-        """Return a referee for a later step's matrices, started at the last active set."""
+        """Return a checker of optima for a later step's matrices, started at the last set."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
     def reset_copy(self) -> Referee:
-        """Return a copy without memory of earlier problems, sharing the matrices' data."""
+        """Return a copy of this checker without memory of earlier QPs; matrix data are shared."""
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
         return other
@@ -143,7 +143,7 @@ class Referee:
         return all(is_semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
 
     def _exact_matrices(self) -> ExactMatrices:
-        """Return the matrices P and C in exact arithmetic, from a cache."""
+        """Return Hessian P and constraint rows C in exact arithmetic, from a cache."""
         if self._data.exact is None:
             self._data.exact = ExactMatrices.of(self._P, self._C)
         return self._data.exact
@@ -175,7 +175,7 @@ class Referee:
         return proof
 
     def _search_certificate(self, problem: JointQP) -> Optimum:
-        """Try all certificates in order of cost, from guesses of the active set."""
+        """Certify a QP's optimum or infeasibility from guessed active sets, cheapest first."""
         fixed = fix_forced_variables(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
@@ -199,7 +199,7 @@ class Referee:
         return self._build_optimum(problem, posed, best)
 
     def _try_last_resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
-        """Try the last-resort certificate; return the better of it and the known proof."""
+        """Try the costliest proof of the optimum; return the better of it and the known proof."""
         if known is None and (empty := self._find_farkas(problem)) is not None:
             return empty
         if self._data.last_resort is None:
@@ -224,7 +224,7 @@ class Referee:
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
     def _try_linear(self, problem: JointQP, signs: Signs) -> Proof | None:
-        """Try the linear certificate on the active set `signs`."""
+        """Try to prove an active set optimal by error bounds of its KKT solution, else None."""
         system = self._kkt_system(signs) if self._convex else None
         if system is None or not system.proven:
             return None
@@ -245,7 +245,7 @@ class Referee:
     def _try_costly(
         self, problem: JointQP, tried: list[Signs], known: Proof | None
     ) -> Proof | None:
-        """Return the best proof among the known one, the gap and the rational certificates."""
+        """Return the best proof of an optimum: known, by duality gap or in exact arithmetic."""
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
@@ -264,7 +264,7 @@ class Referee:
         return min(proofs, key=lambda p: (p.kind == "infeasible", p.bound), default=None)
 
     def _try_gap(self, problem: JointQP, signs: Signs) -> Proof | None:
-        """Try the gap certificate from the active set `signs`."""
+        """Try to prove the optimum by its duality gap from the active set `signs`, else None."""
         if self._data.inverse is None:
             free = self._kkt_system(np.zeros_like(signs))
             if not free.proven:
@@ -317,7 +317,7 @@ class Referee:
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """Return the verdict by exact Farkas multipliers, if they hold once rounded.
+        """Return the infeasibility verdict of exact Farkas multipliers if valid once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
@@ -330,12 +330,12 @@ class Referee:
         return self._no_certificate()
 
     def _no_certificate(self) -> Optimum:
-        """Return an optimum of kind "none": NaN arrays and an infinite bound."""
+        """Return the result for a QP with nothing proven: NaN arrays, infinite error bound."""
         n, nan = len(self._lb), np.nan
         return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
 
     def _as_qp(self, problem: JointQP) -> QuadraticProgram:
-        """Convert a joint QP of these matrices to a `QuadraticProgram`."""
+        """Convert a QP with rows and bounds joined back to one with separate rows and bounds."""
         m = self._m
         return QuadraticProgram(
             self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub
@@ -343,14 +343,14 @@ class Referee:
 
 
 def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """Return a fresh referee that shares cached data of equal matrices in this thread."""
+    """Return a checker of QP optima that shares cached data of equal matrices in this thread."""
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
     return _cached_referee(get_ident(), len(lb), *parts).reset_copy()
 
 
 @lru_cache(maxsize=8)
 def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
-    """Build a referee from the bytes of its matrices, the keys of the cache."""
+    """Build a checker of QP optima from its matrices as bytes, the keys of the cache."""
     square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
 

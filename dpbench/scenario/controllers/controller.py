@@ -56,7 +56,7 @@ class Controller(ABC):
 
     @property
     def label(self) -> str:
-        """Tuning and horizons as text, e.g. "robust 60/10"."""
+        """Controller tuning and horizons as text, e.g. "robust 60/10"."""
         return f"{self.tuning} {self.problem.N_p}/{self.problem.N_c}"
 
     @property
@@ -131,7 +131,7 @@ class Controller(ABC):
 
 
 def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limits]:
-    """Return the limits at each sample: `own` before the first change, then the changed ones."""
+    """Return force limits at each sample: `own` before the first fault, then the changed ones."""
     limits = [own] * samples
     for k, changed in changes:
         limits[k:] = [changed] * len(limits[k:])

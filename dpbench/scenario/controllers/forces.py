@@ -21,7 +21,7 @@ class ForceController(Controller):
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> ForceController:
-        """Build the controller of a scenario, with limits axis by axis or joint ones."""
+        """Build the force controller of a scenario, with limits axis by axis or joint ones."""
         spec.check_faults(lost=spec.table.limits != "box", limit_share=spec.table.limits == "box")
         problem, changes = build_force_plan(spec)
         wanted = ForceController if problem.thrusters is None else JointForceController

@@ -55,7 +55,7 @@ def turning_rows(turning: AzimuthTurning) -> Linearisation:
 
 
 class Planning(TypedDict):
-    """Keyword arguments of `Controller` that describe how it plans."""
+    """Planning settings of a controller: tuning, linearisation, limit policy, output bounds."""
 
     tuning: str
     psi0_rad: float
@@ -66,7 +66,7 @@ class Planning(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class ControllerSpec:
-    """Scenario file, ship and units from which a controller is built."""
+    """Scenario file, ship and scaling from which a controller is built."""
 
     file: ScenarioFile
     vessel: Vessel
@@ -76,18 +76,18 @@ class ControllerSpec:
 
     @property
     def table(self) -> ControllerTable:
-        """Controller table of the scenario file."""
+        """Controller settings of the scenario file."""
         return self.file.controller
 
     @property
     def thruster_table(self) -> ThrusterControlTable:
-        """Table of the commanded thrusters in the scenario file."""
+        """Settings of the commanded thrusters in the scenario file."""
         assert self.table.thrusters is not None, "the table demands it"
         return self.table.thrusters
 
     @property
     def planning(self) -> Planning:
-        """Keyword arguments of `Controller`: tuning, linearisation, limit policy, output bounds."""
+        """Controller settings for planning: tuning, linearisation, limit policy, output bounds."""
         table, psi0_rad = self.table, self._psi0_rad
         each_step = table.linearisation == "each_step"
         return {
@@ -155,7 +155,7 @@ class ControllerSpec:
 
     @property
     def limit_shares(self) -> list[tuple[int, Vector]]:
-        """Sample and share (3,) of the vessel's limits for each fault that reduces the limits."""
+        """Sample and remaining share (3,) of the force limits, for each fault that reduces them."""
         shares = [(k, fault.limit_share) for k, fault in self._sorted_faults]
         return [(k, np.array(share)) for k, share in shares if share is not None]
 
@@ -174,6 +174,6 @@ class ControllerSpec:
 
     @property
     def _sorted_faults(self) -> list[tuple[int, FaultTable]]:
-        """Sample and table of each fault, in order of time."""
+        """Sample and settings of each fault, in order of time."""
         in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
         return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]

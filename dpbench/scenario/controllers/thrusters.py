@@ -41,7 +41,7 @@ class ThrusterController(Controller):
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> ThrusterController:
-        """Build the controller of a scenario; InputError for a vessel without fitting thrusters."""
+        """Build the thruster controller of a scenario; InputError without fitting thrusters."""
         control, planning = build_thruster_control(spec), spec.planning
         spec.check_faults(lost=True, limit_share=False)
         if isinstance(control, TurningThrusterControl):
@@ -97,7 +97,7 @@ class CascadeController(ForceController):
 
     @classmethod
     def of(cls, spec: ControllerSpec) -> CascadeController:
-        """Build the cascade of a scenario; InputError for a vessel without fitting thrusters."""
+        """Build a force controller with thrust allocation; InputError without thrusters."""
         control, table = build_thruster_control(spec), spec.thruster_table
         spec.check_faults(lost=True, limit_share=spec.table.limits == "box")
         problem, changes = build_force_plan(spec)
@@ -125,7 +125,7 @@ class CascadeController(ForceController):
 
     @property
     def built_in_limits(self) -> None:
-        """None, since the thrusters may leave the planned force outside its limits."""
+        """None: limits enter each step's QP, as thrusters may miss the planned force."""
         return None
 
     def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
@@ -133,9 +133,9 @@ class CascadeController(ForceController):
         return AllocationQP(self.allocation, units=units) if self.by_qp else None
 
     def thruster_limits(self, samples: int) -> list[Limits]:
-        """Return the limits of the thrusters at each sample, losses included."""
+        """Return the thrusters' force limits at each sample, lost thrusters included."""
         return limits_at_samples(self.control.rows.intact, self.losses, samples)
 
     def as_baseline_law(self) -> CascadeController:
-        """Return the cascade with the pseudo-inverse in place of the allocation QP."""
+        """Return this controller with allocation by pseudo-inverse in place of a QP."""
         return replace(self, by_qp=False)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class EstimatorTable(FileModel):
-    """The estimator between the sensors and the controller.
+    """Settings of the state estimator between the sensors and the controller.
 
     `measured`: nothing. The filters take period and size of the wave motion from the weather where
     the file does not give them.
@@ -50,7 +50,7 @@ class PlantTable(FileModel):
 
 
 class FaultTable(FileModel):
-    """A smaller share of the limits of the force, or lost thrusters, known to the controller."""
+    """Fault known to the controller: force limits reduced to a share, or thrusters lost."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
 
@@ -87,7 +87,7 @@ class OutputsTable(FileModel):
 
 
 class ThrusterControlTable(FileModel):
-    """A controller that commands thrusters: polygons for their limits, weights of their forces."""
+    """Settings for commanding thrusters: polygons for their limits, weights of their forces."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"slack_weight_relative", "allocation"})
 
@@ -109,7 +109,7 @@ class ThrusterControlTable(FileModel):
 
 
 class ControllerTable(FileModel):
-    """Horizons and weights; R either in SI or in multiples of 1/Δu_max²."""
+    """MPC settings: horizons, weights; increment weight R in SI or in multiples of 1/Δu_max²."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset(
         {"kind", "thrusters", "limits", "attainable_sides"}

@@ -61,7 +61,7 @@ class ReflectionTable(FileModel):
 
 
 class ThrusterTable(FileModel):
-    """One thruster: its place, and its thrust or what DNV-ST-0111 makes it of."""
+    """One thruster: its position, and its thrust or the data to compute it by DNV-ST-0111."""
 
     name: str
     """For tables, and for faults that name it."""
@@ -123,7 +123,7 @@ class ThrusterTable(FileModel):
 
 
 class CapabilityTable(FileModel):
-    """The hull for `dpbench capability` (DNV-ST-0111, table A-2), with the areas of `[windage]`.
+    """Hull data for DP capability plots by DNV-ST-0111, table A-2, besides those of `[windage]`.
 
     What is left out is assumed, and listed with the result.
     """

@@ -84,7 +84,7 @@ class CurrentTable(FileModel):
 
 
 class MotionTable(FileModel):
-    """First-order motion in the measurement, per metre of wave amplitude."""
+    """Wave-frequency ship motion in the measurement, per metre of wave amplitude."""
 
     along_m_per_m: keys.Number = 0.6
     """Along the waves, per metre of wave amplitude; the water's own is 1."""

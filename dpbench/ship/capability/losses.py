@@ -48,7 +48,7 @@ def vented_share(
 
 @dataclass(frozen=True)
 class Loss:
-    """Share of an azimuth's thrust left between directions start and end [rad], least at worst."""
+    """Share of an azimuth's thrust left in a range of directions [rad], least at `worst`."""
 
     start: float
     worst: float
@@ -62,7 +62,7 @@ class Loss:
 
 
 def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
-    """Return the ranges of directions [rad] in which an azimuth would flush a working thruster."""
+    """Return directions [rad] in which an azimuth's propeller race would hit a working thruster."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
         return []
@@ -105,7 +105,7 @@ def _direction_away(thruster: Thruster, other: Thruster) -> float:
 
 
 def _dead_thruster_loss(centre: float, half: float, beta: float) -> Loss:
-    """Return the loss around a direction, from share `beta` at the centre to 1 at the edges."""
+    """Return a thrust loss by a dead thruster: share `beta` left at the centre, 1 at the edges."""
 
     def share(direction: float) -> float:
         off = abs(direction - centre)
@@ -136,7 +136,7 @@ def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
 
 
 def _skeg_loss(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
-    """Return the loss by one skeg, which lies `ahead` and `aside` [m] of the azimuth."""
+    """Return an azimuth's thrust loss by one skeg, `ahead` and `aside` [m] of it."""
     flush = 0.5 * math.pi + math.atan(ahead / aside)
     worst = min(max(flush + jet, 0.5 * math.pi), math.pi)
     start, end = max(flush - jet, 0.0), min(worst + 4.0 * jet, math.pi)

@@ -74,7 +74,7 @@ class _ThrustEdge:
         return dead * skegs
 
     def cut(self, start: float, end: float, step_rad: float) -> list[Piece]:
-        """Cut the attainable forces between two directions [rad] into convex pieces."""
+        """Cut an azimuth's attainable forces between two directions [rad] into convex pieces."""
         corners = self._corner_directions(start, end, step_rad)
         points = [self._edge_point(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)
@@ -93,7 +93,7 @@ class _ThrustEdge:
         ]
 
     def _corner_directions(self, start: float, end: float, step_rad: float) -> list[float]:
-        """Return the directions [rad] of polygon corners that follow the edge closely enough."""
+        """Return directions [rad] of polygon corners that approximate the thrust limit."""
         between = {start + (kink - start) % TURN for kink in self.kinks}
         main = [start, *sorted(a for a in between if start + _ROUNDING < a < end - _ROUNDING), end]
         corners = [start]
@@ -104,7 +104,7 @@ class _ThrustEdge:
         return corners
 
     def _edge_point(self, direction: float) -> tuple[float, float]:
-        """Return the point of the edge in a direction [rad]."""
+        """Return the largest thrust vector in a direction [rad], relative to nominal thrust."""
         # At a kink where a loss ends abruptly the lesser thrust counts.
         share = min(self.share(direction - _ROUNDING), self.share(direction + _ROUNDING))
         return share * math.cos(direction), share * math.sin(direction)
@@ -112,7 +112,7 @@ class _ThrustEdge:
     def _end_tangents(
         self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
-        """Return the tangents at both ends of an edge segment, and its chord in a range of loss."""
+        """Return tangents at both ends of a thrust-limit segment; its chord if thrust is lost."""
         if self.share(0.5 * (a + b)) >= 1.0:
             return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
         length = math.hypot(q[0] - p[0], q[1] - p[1])

@@ -276,7 +276,7 @@ def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
 def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
-    """Predict and correct the filter state x (n,) by one sample; fill epsilon, estimate, change."""
+    """Predict and correct the filter state by one sample; write innovation, estimate and change."""
     n, pose = len(x), len(measured) - AXES
     heading = nearest_turn(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)

@@ -75,7 +75,7 @@ class WaveModel:
 
 
 def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
-    """Return the matrix (6, 6) from velocity and force to the change of velocity and pose.
+    """Return the matrix (6, 6) from velocity and force to a sample's change of velocity and pose.
 
     With the state [∫ν; ν] advanced by [[I, F_p], [0, F_v]] and [G_p; G_v] f over the sample, and
     ν⁻ = F_v⁻¹ (ν − G_v f) the speed before it: Δν = ν − ν⁻, RᵀΔη = F_p ν⁻ + G_p f.
@@ -97,7 +97,7 @@ def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
 
 @njit(cache=True)
 def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] # compiled by numba
-    """Write the model's change of velocity and pose (6,) in one sample to `change`."""
+    """Write the ship model's change of velocity and pose (6,) in one sample to `change`."""
     c, s = np.cos(estimate[HEADING]), np.sin(estimate[HEADING])
     f0 = tau[0] + c * b[0] + s * b[1]
     f1 = tau[1] + c * b[1] - s * b[0]

@@ -87,7 +87,7 @@ class PassiveTuning:
 
     @property
     def gains(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-        """Gain vectors K11, K12, K2, K3 and K4, (3,) each."""
+        """Gain vectors K11, K12, K2, K3 and K4 of the passive observer, (3,) each."""
         omega0, on = self.waves.omega0_radps, float(self.wave_filter)
         rise: Vector = on * 2 * (self.notch_damping - self.waves.damping)
         K3: Vector = self.bias_rate_radps * self.K4

@@ -30,7 +30,7 @@ _ROWS = 1024
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """Return the random generator of a named source under a seed, at its beginning.
+    """Return a fresh random generator for a seed and a named source, such as wind or waves.
 
     The name is part of the key: a source draws the same numbers whatever other sources there are.
     """
@@ -48,7 +48,7 @@ class Harmonics:
     phase: Vector
 
     def at(self, start_s: Vector, offset_s: Vector, derivative: int = 0) -> NDArray[np.complex128]:
-        """Return the complex process, or a derivative of it, at all sums of two times: (K, M)."""
+        """Return the complex process, or a derivative, at times start_s (K,) + offset_s (M,)."""
         # Times in two parts factor the sum into K·N and M·N exponentials. It is summed without
         # BLAS, so that no thread count changes its last bits.
         later = np.exp(1j * np.outer(offset_s, self.omega))

@@ -28,7 +28,7 @@ NEAR = 1e-9  # Relative distance within which a row is worth the exact compariso
 
 
 def fix_forced_variables(problem: JointQP) -> JointQP | None:
-    """Fix variables that a row forces to their bounds, and drop that row; None without any.
+    """Fix variables that a constraint row forces to bounds, and drop that row; None if none does.
 
     None too where two rows force a variable to different bounds, which other proofs refute.
     """
@@ -106,7 +106,7 @@ def make_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
 
 
 def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
-    """Find weights (N,) that prove limits are never slack, by a linear program."""
+    """Find constraint weights (N,) by an LP that prove limits are always met with equality."""
     n, k = problem.C.shape[1], len(rows)
     G = side[:, np.newaxis] * problem.C[rows]
     E = problem.C[equal]
@@ -127,7 +127,7 @@ def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) 
 
 
 def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
-    """Return whether the weighted rows and the weighted limits add up to zero, exactly."""
+    """Return whether weighted rows and weighted limits each sum to zero, in exact arithmetic."""
     used = np.flatnonzero(weights)
     exact = Dyadic.of(weights[used])
     if (Dyadic.of(problem.C[used].T) @ exact).signs().any():

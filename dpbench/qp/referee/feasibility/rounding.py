@@ -43,7 +43,7 @@ GAIN = 1e6  # How much finer the violation is resolved from one linear program t
 
 @dataclass(frozen=True, slots=True)
 class LeastViolation:
-    """Rigorous bounds of the least relative violation of a QP without a feasible point.
+    """Rigorous bounds of the least relative constraint violation of a QP without feasible point.
 
     lower : by a Farkas vector, 0 without one; upper : by a point, inf where none was found or
     `lower` > `rounding`; rounding : γ_{n+2}.
@@ -79,7 +79,7 @@ def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> Leas
 
 
 def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
-    """Return the magnitudes (N,) that rounding of upper and lower limits is relative to."""
+    """Return magnitudes (N,) against which rounding errors of constraint limits are measured."""
     C = np.abs(problem.C)
     n = C.shape[1]
     m = len(C) - n
@@ -99,7 +99,7 @@ def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
 
 
 def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
-    """Return how far the nearest limit lets each variable go (n,)."""
+    """Return each variable's size (n,) at the nearest limit that involves it."""
     reach = np.zeros(C.shape[1])
     for j, column in enumerate(C.T):
         mentions = column > 0.0
@@ -112,7 +112,7 @@ def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
 
 
 def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
-    """Return a lower bound of the least violation from a Farkas vector y."""
+    """Return a lower bound of the least relative constraint violation from a Farkas vector y."""
     rows, weights = _weighted_rows(problem, y)
     positive = weights.signs() > 0
     limits = np.where(positive, problem.U[rows], problem.L[rows])
@@ -123,7 +123,7 @@ def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vect
 
 
 def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
-    """Return the rows that a Farkas vector uses, and their exact weights."""
+    """Return the constraint rows with weight in a Farkas vector, and their exact weights."""
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)
     if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
@@ -155,7 +155,7 @@ def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PointViolation:
-    """Exact violation of a point, rounded up, and multipliers y (N,) there."""
+    """Largest constraint violation of a point, rounded up, and multipliers y (N,) there."""
 
     violation: float
     y: Vector
