@@ -96,7 +96,7 @@ class DesignRecord:
 
 
 @dataclass(frozen=True)
-class MissingDesign:
+class UnanalysedStability:
     """Controller and vessel whose closed-loop stability could not be analysed, and the reason."""
 
     vessel: str
@@ -112,7 +112,7 @@ class Designs:
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     records: tuple[DesignRecord, ...]
-    missing: tuple[MissingDesign, ...] = ()
+    missing: tuple[UnanalysedStability, ...] = ()
     schema: int = DESIGN_SCHEMA
 
 
@@ -304,7 +304,7 @@ class DesignStudy:
         records = {path: _read_record(path) for path in self._designs}
         gone = "its record is gone"
         missing = [
-            MissingDesign(design.vessel, design.controller, self._reasons.get(path, gone))
+            UnanalysedStability(design.vessel, design.controller, self._reasons.get(path, gone))
             for path, design in self._designs.items()
             if records[path] is None
         ]

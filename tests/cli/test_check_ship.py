@@ -16,7 +16,7 @@ def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
     monkeypatch.setattr(check_ship, "is_held", lambda trial, offset, sides: offset <= offset_m)
 
 
-def read_text_array(name: str) -> str:
+def read_stored_text(name: str) -> str:
     """What is said of a library vessel."""
     return check_ship.vessel_text(problem_path("vessels", name), load_vessel(name))
 
@@ -28,7 +28,7 @@ def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
 ) -> None:
     """At most 12 lines of 80 columns, the four columns of the table below each other."""
     up_to(monkeypatch, offset_m)
-    lines = read_text_array(name).splitlines()
+    lines = read_stored_text(name).splitlines()
     assert len(lines) <= 12
     assert max(map(len, lines)) <= 80
     for line in lines[2:7]:
@@ -49,7 +49,7 @@ def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
 def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None:
     """M/D of surge 105.7 s, 1240 kN over 5312 t, 417 kN over 272 t/s, and what 1 m/s takes."""
     up_to(monkeypatch, 1.65)
-    text = read_text_array("supply_fs99")
+    text = read_stored_text("supply_fs99")
     for said in ("-980..1240 kN", "±417 kN", "±18000 kN·m", "11.4 s", "106 s", "233 mm/s²"):
         assert said in text
     assert "1 m/s sideways needs 272 kN of 417; holds 1.5 m/s of current abeam" in text
@@ -68,13 +68,13 @@ def test_a_tuning_that_holds_nothing_or_everything(
 ) -> None:
     """Without a bracket it says which end it is."""
     up_to(monkeypatch, offset_m)
-    assert read_text_array("osv").count(said) == 2
+    assert read_stored_text("osv").count(said) == 2
 
 
 def test_a_drift_beyond_linear_damping_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     """MSS osv would drift at 22 m/s ahead and 6 m/s sideways; 0.2 of Froude is 5.7 m/s."""
     up_to(monkeypatch, 1.0)
-    text = read_text_array("osv")
+    text = read_stored_text("osv")
     assert "> 5.7 m/s          > 5.7 m/s          0.296 °/s" in text
     assert "holds > 5.7 m/s of current abeam" in text
 

@@ -18,7 +18,7 @@ from dpbench.analysis.records.step_times import (
 )
 from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON_FORMULATION
-from dpbench.bench.record.recorded_steps import ALL_COLUMNS, run_slices
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS, row_ranges_by_run
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, build_scenario
@@ -86,7 +86,7 @@ class Records:
         """Yield per run its id, its steps merged over repetitions, and the unmerged step rows."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
-            rows, places = table[list(columns)], run_slices(table["run_id"])
+            rows, places = table[list(columns)], row_ranges_by_run(table["run_id"])
             for run_id, steps in run_steps(counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.rules import decided_steps, failed_steps
-from dpbench.bench.record.recorded_steps import run_slices
+from dpbench.bench.record.recorded_steps import row_ranges_by_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class CountingRows:
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
         """First and one-past-last row index of each run, by run id."""
-        return run_slices(self.run_id)
+        return row_ranges_by_run(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
         """Return the step arrays of one run only; empty where it has none."""

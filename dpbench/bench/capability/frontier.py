@@ -100,7 +100,7 @@ class CapabilityPlot:
         condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
-            losses.vented_share(thruster, self.hull, condition, from_rad)
+            losses.thrust_share_when_vented(thruster, self.hull, condition, from_rad)
             for thruster in self.thrusters.thrusters
         ]
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))

@@ -224,7 +224,7 @@ def read_float_array(
     return numbers
 
 
-def read_text_array(arrays: Arrays, where: str, name: str) -> str:
+def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     """Return the text stored as the array `name`; InputError where there is none."""
     array = arrays.get(name)
     if array is None:

@@ -67,7 +67,7 @@ class StepsInMemory:
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
         """First row of each run in the table of steps, and the row after its last, by run_id."""
-        return run_slices(self._frame["run_id"])
+        return row_ranges_by_run(self._frame["run_id"])
 
 
 class StepsOnDisk:
@@ -133,7 +133,7 @@ class StepsOnDisk:
                 file.read_row_group(group, columns=["run_id"])["run_id"]
                 for group in range(file.num_row_groups)
             ]
-            return [run_slices(names.combine_chunks().to_pandas()) for names in groups]
+            return [row_ranges_by_run(names.combine_chunks().to_pandas()) for names in groups]
 
     @cached_property
     def _groups_by_run(self) -> dict[str, int]:
@@ -215,7 +215,7 @@ def wrong_type_error(path: Path, which: str) -> ResultsError:
     )
 
 
-def run_slices(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
+def row_ranges_by_run(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
     """Return the first row of each label in sorted labels (N,), and the row after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []

@@ -7,7 +7,7 @@ for ships of equipment class 2 and 3. Required is what the controller applies, a
     τ̄_k = τ̄_{k−1} + a (τ_k − τ̄_{k−1}),   a = 1 − exp(−T_s / 60 s),   τ̄_{−1} = 0
 
 Waves and gusts pass before a ship has drifted off. No rule names the 60 s. At each sample every
-failure group has a QP (`LossAllocation`) without feasible point where the loss cannot be held.
+failure group has a QP (`AllocationAfterLoss`) without feasible point where the loss cannot be held.
 Thrust is nominal: interference (MSC/Circ.645, 3.3.3) is for `dpbench capability`.
 
 Hardness comes from the certified optima alone, so it favours no solver. Over the closed loops of
@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dpbench.arrays import Flags, Floats, Ints, Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import ThrusterRows
-from dpbench.mpc.thrusters.static_allocation import LossAllocation
+from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.scenario.controllers.controller import stack_limits
@@ -61,7 +61,7 @@ def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> Q
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
     least, most, _ = rows.limits_after_loss(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
-    allocation = LossAllocation(thrusters, rows)
+    allocation = AllocationAfterLoss(thrusters, rows)
     l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program
     base = allocation.problem(l[0], u[0])
     meta: dict[str, str | float | int]

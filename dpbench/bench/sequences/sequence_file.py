@@ -35,7 +35,7 @@ from dpbench.bench.record.npz import (
     read_count_array,
     read_float_array,
     read_npz,
-    read_text_array,
+    read_stored_text,
     write_npz,
 )
 from dpbench.errors import InputError
@@ -161,7 +161,7 @@ def load_recorded(path: str | Path) -> Recorded:
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
         raise InputError(where, name, "Python objects", "numbers or text")
-    texts = {name: read_text_array(arrays, where, name) for name in _TEXTS}
+    texts = {name: read_stored_text(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
     if (version := read_count_array(arrays, where, "version")) != FORMAT_VERSION:

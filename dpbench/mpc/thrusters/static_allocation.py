@@ -88,7 +88,7 @@ class StaticAllocation:
         return A, low, high
 
 
-class LossAllocation:
+class AllocationAfterLoss:
     """Builder of the QPs that allocate a force after thruster losses, with constant matrices.
 
         min ½ Σ |f_i/T_i|²   subject to   T_e f = τ,   low ≤ G f ≤ high,   lost ones f_i = 0

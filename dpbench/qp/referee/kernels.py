@@ -153,7 +153,7 @@ def _is_optimal(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
 
 
 @cached_njit
-def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
+def prove_active_set_optimal(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
     """Test whether the active set of a KKT system is proven optimal; compute point and bounds.
 
     Returns the bound of the error of z, inf where nothing is proven; x (n+w,) the point and its

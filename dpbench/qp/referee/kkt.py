@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP, Proof
-from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, linear_kernel
+from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, prove_active_set_optimal
 
 
 def gamma(k: int) -> float:
@@ -108,7 +108,7 @@ def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) 
 
     `system` must be `proven` and of the problem's matrices, P positive semidefinite and L ≤ U.
     """
-    bound, x, _, y = linear_kernel(
+    bound, x, _, y = prove_active_set_optimal(
         *(problem.q, problem.L, problem.U, geometry.C_T, geometry.gamma),
         *(system.K, system.X_T, system.weight, system.rows, system.signs),
         *(system.alpha, system.gamma),

@@ -28,7 +28,7 @@ FLUSHING_DIAMETERS = 15.0
 TURN = 2.0 * math.pi
 
 
-def vented_share(
+def thrust_share_when_vented(
     thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
 ) -> float:
     """Return the share of thrust left when waves let the propeller draw air (β_vent)."""

@@ -188,7 +188,7 @@ HALVES = 6
 """Ways of halving the rows: any two of the 64 nearest their limits are apart in one of them."""
 
 
-def is_answer_sensitive(S: Matrix, qp: QuadraticProgram) -> bool:
+def moves_under_small_shifts(S: Matrix, qp: QuadraticProgram) -> bool:
     """Return whether tiny shifts of limits and cost change the QP's answer by more than allowed."""
     n_pad = int(S[layout.HEAD, layout.N_PAD])
     vectors, factor = S[: layout.VECTORS], S[-n_pad:]

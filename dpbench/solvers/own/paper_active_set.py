@@ -3,7 +3,7 @@
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set.kernel`; what rounding keeps that call from deciding is left to
 `proof.solve_carefully`. No answer of either is called solved that misses the optimality conditions
-of `active_set.check`, or whose place rounding decides (`exact_point.is_answer_sensitive`).
+of `active_set.check`, or whose place rounding decides (`exact_point.moves_under_small_shifts`).
 """
 
 from math import inf
@@ -20,8 +20,8 @@ from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
 from dpbench.solvers.own.exact_point import (
     error_bound,
     error_units,
-    is_answer_sensitive,
     is_regular_vertex,
+    moves_under_small_shifts,
 )
 from dpbench.solvers.own.proof import (
     drop_ray_rounding,
@@ -105,7 +105,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         assert self._S is not None
         if not has_consistent_equalities(qp):
             return "rows with equal limits depend on one another but for rounding"
-        posed, sensitive = JointQP.of(qp), is_answer_sensitive(self._S, qp)
+        posed, sensitive = JointQP.of(qp), moves_under_small_shifts(self._S, qp)
         if not sensitive and is_regular_vertex(posed, self._z):
             return ""
         bound = error_bound(posed, self._z, np.concatenate([self._y, self._y_box]))

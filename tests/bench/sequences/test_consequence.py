@@ -26,7 +26,7 @@ from dpbench.bench.sequences.loop_sequences import (
 from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
-from dpbench.mpc.thrusters.static_allocation import LossAllocation
+from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import Scenario, build_scenario, load_vessel
@@ -41,7 +41,7 @@ assert RATOWNIK is not None
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
     rows = thruster_rows(thrusters, SIDES)
     low, high, _ = rows.limits_after_loss(set(thrusters.groups[group]))
-    allocation = LossAllocation(thrusters, rows)
+    allocation = AllocationAfterLoss(thrusters, rows)
     l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
     return allocation.problem(l[0], u[0])
 

@@ -19,7 +19,7 @@ from dpbench.qp.referee.kernels import (
     INVALID_DATA,
     ORDERED_LIMITS,
     classify_limits,
-    linear_kernel,
+    prove_active_set_optimal,
 )
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
 from dpbench.qp.referee.nearby import guess_nearby
@@ -110,7 +110,7 @@ def test_enclosure_holds_the_exact_solution(
 
 def _certified(problem: JointQP, system: KKTSystem) -> Any:
     geometry = Geometry(problem.C)
-    return linear_kernel(
+    return prove_active_set_optimal(
         *(problem.q, problem.L, problem.U, geometry.C_T, geometry.gamma),
         *(system.K, system.X_T, system.weight, system.rows, system.signs),
         *(system.alpha, system.gamma),
@@ -198,12 +198,12 @@ def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPa
 def test_any_memory_of_the_vectors_is_taken() -> None:
     P, none, ones = np.eye(3), np.zeros((0, 3)), np.ones(3)
     plain = Referee(P, none, -ones, ones).certify(np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0])
-    compiled = len(classify_limits.signatures), len(linear_kernel.signatures)
+    compiled = len(classify_limits.signatures), len(prove_active_set_optimal.signatures)
     q = np.array([-2.0, 9.0, 0.5, 9.0, 0.0, 9.0])
     q.setflags(write=False)
     strided = Referee(P, none, -ones, ones).certify(q[::2], ones[:0], ones[:0])
     assert (strided.z == plain.z).all() and strided.kind == plain.kind == "linear"
-    assert compiled == (len(classify_limits.signatures), len(linear_kernel.signatures))
+    assert compiled == (len(classify_limits.signatures), len(prove_active_set_optimal.signatures))
 
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)

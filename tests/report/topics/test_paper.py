@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.bench.design import Bracket, DesignRecord, Designs, MissingDesign
+from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.paper import judge_claims, list_choices, paper_topic
@@ -201,7 +201,7 @@ ROBUST = replace(
     eigenvalues=((1.02, 0.0),),
     held={"still water": Bracket(64.0, None), "calm": Bracket(0.0, 0.25)},
 )
-MISSING = MissingDesign("tug", "turn", "killed by SIGKILL")
+MISSING = UnanalysedStability("tug", "turn", "killed by SIGKILL")
 
 
 def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:

@@ -13,7 +13,7 @@ from dpbench.ship.capability.losses import (
     dead_losses,
     forbidden_zones,
     skeg_losses,
-    vented_share,
+    thrust_share_when_vented,
 )
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet
 
@@ -30,7 +30,7 @@ def test_factors_are_the_published_ones(
     for row in published.itertuples():
         condition = Condition(*DP_CONDITIONS[row.number])
         for i, thruster in enumerate(thrusters.thrusters):
-            vented = vented_share(thruster, hull, condition, math.radians(row.from_deg))
+            vented = thrust_share_when_vented(thruster, hull, condition, math.radians(row.from_deg))
             skeg, allowed = 1.0, 0.0051
             if i < 2:
                 # Counter-clockwise there, clockwise here; so port is −y there and here the first.
@@ -47,11 +47,12 @@ def test_waves_take_more_the_higher_they_are_and_nothing_unknown(
     """β_vent falls with the wind; a thruster whose screw is not known loses nothing."""
     for thruster in thrusters.thrusters:
         shares = [
-            vented_share(thruster, hull, interpolate_condition(w), 1.5) for w in (5, 15, 25, 32)
+            thrust_share_when_vented(thruster, hull, interpolate_condition(w), 1.5)
+            for w in (5, 15, 25, 32)
         ]
         assert (np.diff(shares) <= 0.0).all()
     bare = Thruster("bare", "tunnel", 30.0, 0.0, 1e5, 8.0)
-    assert vented_share(bare, hull, interpolate_condition(32.0), 1.5) == 1.0
+    assert thrust_share_when_vented(bare, hull, interpolate_condition(32.0), 1.5) == 1.0
 
 
 def test_a_working_thruster_is_not_flushed() -> None:

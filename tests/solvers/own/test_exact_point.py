@@ -86,7 +86,7 @@ def test_a_long_horizon_alone_raises_no_doubt(monkeypatch):
     """cond(P) is 4e7 at 200/40, yet rounding leaves the answer near the certified optimum."""
     recorded = load_recorded(sequence_path("paper-200-40"))
     monkeypatch.setattr(
-        paper_active_set, "is_answer_sensitive", lambda *_: pytest.fail("was in doubt")
+        paper_active_set, "moves_under_small_shifts", lambda *_: pytest.fail("was in doubt")
     )
     workspace = open_workspace("paper_active_set", policy="warm")
     workspace.setup(recorded.sequence.base)

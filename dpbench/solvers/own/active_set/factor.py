@@ -65,7 +65,7 @@ from dpbench.solvers.own.active_set.layout import (
     add_product,
     add_scaled_row,
     compiled,
-    inlined,
+    njit_inlined,
     row_width,
 )
 
@@ -204,7 +204,7 @@ SHARE, MOST_CANDIDATES = 0.3, 24
 """A candidate is violated by this share of the most violated row; at most as many candidates."""
 
 
-@inlined
+@njit_inlined
 def add_active_rows(S: Matrix, out: int, sign: float, H: int) -> None:
     """Add or subtract C P⁻¹Cᵀ λ, summed over active rows, to or from a vector of row values."""
     for k in range(int(S[HEAD, COUNT]) & MASK):
@@ -310,7 +310,7 @@ def find_worst_candidate(S: Matrix, H: int, noise: float) -> int:
     return worst
 
 
-@inlined
+@njit_inlined
 def choose_next_row(S: Matrix, H: int, noise: float) -> int:
     """Return the next violated row to activate, from a short list while it lasts; −1 if none."""
     many = row_width(S) > NARROW

@@ -84,7 +84,7 @@ def compiled(function: F) -> F:
     return cast(F, njit(fastmath=REORDER, error_model="numpy")(function))
 
 
-def inlined(function: F) -> F:
+def njit_inlined(function: F) -> F:
     """Compile a small function with Numba, inlined into its callers."""
     return cast(F, njit(fastmath=REORDER, error_model="numpy", forceinline=True)(function))
 
@@ -213,7 +213,7 @@ def add_product(S: Matrix, out: int, first: int, by: int, n: int, part: int) -> 
             span += 2
 
 
-@inlined
+@njit_inlined
 def add_scaled_row(S: Matrix, out: int, a: float, r: int, part: int) -> None:
     """Add a times row r of C P⁻¹Cᵀ to a row of the work array, for bounds, rows of A or both."""
     width = row_width(S)
