@@ -59,6 +59,15 @@ def test_every_place_a_document_names_exists(document: str) -> None:
         assert (ROOT / name).exists() or (ROOT / "docs" / name).exists(), name
 
 
+@pytest.mark.parametrize("script", ["Makefile", ".ci/run"])
+def test_every_test_a_script_names_exists(script: str) -> None:
+    """What `make` and CI run of the tests is there, in whatever form it is given to pytest."""
+    named = re.findall(r"(?:tests|benchmarks)/[\w./]+", (ROOT / script).read_text(encoding="utf-8"))
+    assert named
+    for name in named:
+        assert (ROOT / name).exists(), name
+
+
 README = ROOT / "README.md"
 
 
