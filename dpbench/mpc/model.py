@@ -64,7 +64,7 @@ class StateSpace:
 
     @property
     def n_u(self) -> int:
-        """Number of inputs."""
+        """Number n_u of the model's inputs u, the columns of B."""
         return int(self.B.shape[1])
 
     @property

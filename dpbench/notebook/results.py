@@ -42,7 +42,7 @@ class Results(result_folder.Results):
         return self._full_report.tables
 
     def verdict(self) -> pd.DataFrame:
-        """Return the verdict on each solver with its settings, the reason and the main numbers.
+        """Return a table of verdicts: a row per solver and settings, with reason and main numbers.
 
         Times in µs; error_move and failed_steps over all its runs.
         """

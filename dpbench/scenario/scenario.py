@@ -168,7 +168,7 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
 def read_vessel_documents(
     name_or_path: str | Path, *, beside: Path | None = None
 ) -> VesselDocuments:
-    """Read a vessel file, given by name or path, as plain values."""
+    """Read and validate a vessel file, given by name or path; return its name and plain values."""
     path = problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
 

@@ -27,7 +27,7 @@ class WorstStep:
 
     @property
     def k(self) -> int:
-        """Index of the worst step in its run."""
+        """Index k within its run of a solver's worst step by time, iterations or error."""
         return int(self.step.k[0])
 
     @property

@@ -110,7 +110,7 @@ def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> C
 
 
 def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Return the time spans in which the ship can or cannot hold after one thruster group fails."""
+    """Return time spans in which the loss of this run's group can, cannot, or may be held."""
     rows = records.counting_steps(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()

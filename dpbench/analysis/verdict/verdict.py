@@ -88,7 +88,7 @@ class Verdict:
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Reasons why a configuration does not pass: doubts, times near a limit, missing runs."""
+        """Findings that bar a pass but are no failure: doubts, times near a limit, missing runs."""
         no_loop = () if self.loops else (Finding("no closed loop"),)
         no_replay = () if self.replays or self.windows else (Finding("no replay"),)
         return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)

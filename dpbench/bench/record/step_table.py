@@ -55,7 +55,7 @@ _WHOLE_NUMBERS = [n for n, (dtype, _) in RUN_COLUMNS.items() if dtype in ("int32
 
 
 def absent_column(dtype: DType, rows: int) -> pa.Array:
-    """Return an Arrow column of a type without a value in any row."""
+    """Return an Arrow column of placeholders: null, or "", False, 0 where a type has no null."""
     return pa.repeat(pa.scalar(_FILLERS.get(dtype), _ARROW[dtype]), rows)
 
 

@@ -44,7 +44,7 @@ class FallbackPolicy:
 
 
 class ShiftedPlan(FallbackPolicy):
-    """A fallback that follows the last usable plan, one move further each step, then holds."""
+    """A fallback that plays on the last usable plan's increments, then holds the force."""
 
     follows_plans = True
 

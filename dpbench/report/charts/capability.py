@@ -97,7 +97,7 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
 
 
 def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
-    """Return x and y in the chart of a wind speed from a direction [°]; ahead is up."""
+    """Return chart x and y of wind speeds by directions off the bow [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 

@@ -63,7 +63,7 @@ class Releases:
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Compare the versions of each solver over several result folders.
+    """Compare each solver's versions over result folders; times relative to solver `reference`.
 
     Parameters
     ----------

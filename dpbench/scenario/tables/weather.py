@@ -56,7 +56,7 @@ class SquallTable(FileModel):
 
 
 class WindTable(FileModel):
-    """Mean wind 10 m above the water with gusts along it."""
+    """Table of a scenario file: mean wind 10 m above the water, and the gusts along it."""
 
     speed_mps: keys.NotNegative
     """Mean speed 10 m above the water [m/s]."""

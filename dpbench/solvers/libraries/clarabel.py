@@ -76,7 +76,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
     """Clarabel as QP solver, with cones: [A; G] z + s = [b; h], s zero or nonnegative."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert P and stacked equality and inequality rows to sparse, with Clarabel's cones."""
+        """Store P, stacked rows (equalities first) as sparse matrices, and Clarabel's cones."""
         rows, equalities, inequalities = self._stack_form_rows()
         self._P_upper = scipy.sparse.triu(self._P, format="csc")
         self._matrix = scipy.sparse.csc_matrix(rows)

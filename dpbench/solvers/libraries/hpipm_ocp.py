@@ -101,7 +101,7 @@ def split_stages(
 
 
 def select_limit_rows(A: Matrix, numbers: Indices) -> Matrix:
-    """Return the rows with these numbers of A with bounds stacked below, [A; I]."""
+    """Return rows of [A; I] by number: those of A, or of the identity for a variable's bounds."""
     m, n = A.shape
     rows, own = np.zeros((numbers.size, n)), numbers >= m
     rows[~own] = A[numbers[~own]]

@@ -77,7 +77,7 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         return True
 
     def _grade_by_optimality(self, qp: QuadraticProgram, answer: Solution) -> None:
-        """Grade an answer as solved, inaccurate or failed by its optimality residuals."""
+        """Record an answer as solved, inaccurate or failed by its optimality residuals."""
         assert self._S is not None
         self._z[:], self._y[:], self._y_box[:] = answer.z, answer.y, answer.y_box
         excess = optimality_excess(self._S)

@@ -242,7 +242,7 @@ def refactorise_active_set(S: Matrix, L: int, H: int) -> None:
 
 @compiled
 def shift_active_set(S: Matrix, L: int, H: int) -> None:
-    """Shift the active set one control increment earlier for a warm start; the last is kept."""
+    """Shift the active set in S an increment earlier, last kept; L, H: where factor, H begin."""
     n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     for k in range(empty_active_set(S)):
