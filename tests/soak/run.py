@@ -239,11 +239,17 @@ def main() -> int:
             for kind in counts
             for first in range(0, total, BATCH)
         ]
-        for run in runs:
-            batch = run.result()
-            counts[batch.kind].merge(batch)
-            for said in batch.said:
-                print(said, flush=True)
+        try:
+            for done, run in enumerate(runs, 1):
+                batch = run.result()
+                counts[batch.kind].merge(batch)
+                for said in batch.said:
+                    print(said, flush=True)
+                if done % 20 == 0:
+                    print(f"{done} of {len(runs)} batches", file=sys.stderr, flush=True)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            print("interrupted: the table is of what was read until then", file=sys.stderr)
     print(f"\n{'kind':10}  mutants     read  refused    bad   longest s    largest MB  seconds")
     print(*counts.values(), sep="\n")
     return int(any(count.bad for count in counts.values()))
